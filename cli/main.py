@@ -19,6 +19,7 @@ COMMANDS = {
     "simulate": "warpsar.cli.simulate:command",
     "rcs": "warpsar.cli.rcs:command",
     "reflectors": "warpsar.cli.reflectors:command",
+    "twin": "warpsar.cli.twin:command",
     "import": "warpsar.cli.import_:command",
     "learn": "warpsar.cli.learn:command",
     "uv": "warpsar.cli.uv:command",

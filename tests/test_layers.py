@@ -41,6 +41,7 @@ ROOMS = (
     "coherent",
     "collection",
     "calibration",
+    "terrain",
     "curves",
     "compare",
     "differentiable",
@@ -57,6 +58,7 @@ ROOMS = (
 SLOW = {"warp", "matplotlib", "trimesh", "OpenImageIO", "PIL", "scipy.signal", "scipy.stats"}
 EXTRAS = {
     "rasterio",
+    "pyproj",
     "affine",
     "shapely",
     "torch",

@@ -71,7 +71,7 @@ With images, `evaluate`, `learn` and `diagnose` render by the program of `simula
 """
 UNEXPLAINED = {"diagnose": 4}
 """The exit status of a run to its end: the curve is invented, no slab gives it, and `diagnose` must say so."""
-WITHOUT_A_MODEL = {"new", "materials", "import", "uv", "view", "schema", "reflectors"}
+WITHOUT_A_MODEL = {"new", "materials", "import", "uv", "view", "schema", "reflectors", "twin"}
 """They compute no image, phase or RCS of a scene file."""
 
 

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from warpsar.scene.scene import Scene
     from warpsar.simulation.command import simulate
     from warpsar.speckle.coherence import coherence
+    from warpsar.terrain.command import twin
     from warpsar.world.mesh import Mesh
     from warpsar.world.tables import Grid, Material, Radar, Sampling, View
 
@@ -51,6 +52,7 @@ _LAZY = {
     "simulate": "warpsar.simulation.command",
     "slc": "warpsar.collection.command",
     "to_xarray": "warpsar.simulation.dataset",
+    "twin": "warpsar.terrain.command",
 }
 __all__ = [
     "DeviceError",
@@ -78,6 +80,7 @@ __all__ = [
     "simulate",
     "slc",
     "to_xarray",
+    "twin",
 ]
 
 

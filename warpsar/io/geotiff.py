@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,21 @@ class RasterPlace:
     left: float
     top: float
     pixel: float
+
+    @property
+    def affine(self) -> Any:
+        """From columns and rows of pixels' corners to the map."""
+        from rasterio.transform import from_origin
+
+        return from_origin(self.left, self.top, self.pixel, self.pixel)
+
+
+@dataclass(frozen=True)
+class AffinePlace:
+    """The same of a raster with any pixels: `affine` takes columns and rows of pixels' corners to the map."""
+
+    crs: Any
+    affine: Any
 
 
 if TYPE_CHECKING:
@@ -68,9 +83,14 @@ def opened(path: Path) -> Iterator[DatasetReader]:
 
 
 def write_cog(
-    path: Path, bands: Mapping[str, NDArray[Any]], tags: Mapping[str, Any], place: RasterPlace | None = None
+    path: Path,
+    bands: Mapping[str, NDArray[Any]],
+    tags: Mapping[str, Any],
+    place: RasterPlace | AffinePlace | None = None,
+    *,
+    kind: Literal["float32", "float64"] = "float32",
 ) -> None:
-    """A cloud-optimized GeoTIFF of float32 bands of one shape, named by their descriptions; whole or not at all.
+    """A cloud-optimized GeoTIFF of bands of one shape, named by their descriptions; whole or not at all.
 
     Tiles, overviews (means) and directories in the order of the format's standard are GDAL's COG driver's. `tags` are
     texts, numbers, or lists of them, which become JSON. NaN is no data. Without `place` the image lies nowhere.
@@ -81,7 +101,7 @@ def write_cog(
         "count": len(bands),
         "height": first.shape[0],
         "width": first.shape[1],
-        "dtype": "float32",
+        "dtype": kind,
         "nodata": float("nan"),
         "compress": "DEFLATE",
         "predictor": "YES",
@@ -91,16 +111,15 @@ def write_cog(
     with replacing(path) as temporary, warnings.catch_warnings():
         import rasterio
         from rasterio.errors import NotGeoreferencedWarning, RasterioError
-        from rasterio.transform import from_origin
 
         if place is not None:
-            profile |= {"crs": place.crs, "transform": from_origin(place.left, place.top, place.pixel, place.pixel)}
+            profile |= {"crs": place.crs, "transform": place.affine}
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         try:
             with rasterio.Env(), rasterio.open(temporary, "w", **profile) as target:
                 target.update_tags(**{k: json.dumps(v) if isinstance(v, list) else str(v) for k, v in tags.items()})
                 target.descriptions = tuple(bands)
                 for number, band in enumerate(bands.values(), start=1):
-                    target.write(np.asarray(band, np.float32), number)
+                    target.write(np.asarray(band, kind), number)
         except RasterioError as error:
             raise OSError(f"{path}: cannot be written ({error})") from error

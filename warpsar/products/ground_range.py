@@ -53,9 +53,9 @@ class GroundRange:
         return ground
 
     def _nearest(self, coefficients: F64, origin: F64, time_s: ArrayLike, at_m: ArrayLike) -> F64:
-        time, at = np.broadcast_arrays(np.asarray(time_s, np.float64), np.asarray(at_m, np.float64))
-        which = np.abs(time[..., None] - self.time_s).argmin(axis=-1)
-        total = np.zeros(at.shape)
+        time, at = np.asarray(time_s, np.float64), np.asarray(at_m, np.float64)
+        which = np.abs(time[..., None] - self.time_s).argmin(axis=-1)  # before they are broadcast: lines are few
+        total = np.zeros(np.broadcast(time, at).shape)
         for k in range(coefficients.shape[-1] - 1, -1, -1):  # Horner's scheme
             total = total * (at - origin[which]) + coefficients[which, k]
         return total

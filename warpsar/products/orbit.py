@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import KroghInterpolator
+from scipy.special import factorial
 
 from warpsar.errors import InputError
 
@@ -27,7 +28,7 @@ class Orbit:
     time_s: F64
     position_m: F64
     velocity_m_s: F64
-    _pieces: dict[int, KroghInterpolator] = field(default_factory=dict, repr=False, compare=False)
+    _pieces: dict[int, tuple[float, F64]] = field(default_factory=dict, repr=False, compare=False)
 
     @classmethod
     def of(cls, source: str, time_s: ArrayLike, position_m: ArrayLike, velocity_m_s: ArrayLike) -> Orbit:
@@ -55,21 +56,35 @@ class Orbit:
         first = np.clip(interval - nodes // 2 + 1, 0, count - nodes)
         for start in np.unique(first).tolist():
             inside = first == start
-            piece = self._piece(start, nodes)
-            found = piece.derivatives(time[inside] - self.time_s[start], der=2)
-            position[inside], velocity[inside] = found[0], found[1]
+            middle, powers = self._piece(start, nodes)
+            after = (time[inside] - middle)[..., None]
+            place, speed = np.zeros((*after.shape[:-1], 3)), np.zeros((*after.shape[:-1], 3))
+            for k in range(len(powers) - 1, 0, -1):  # Horner's scheme, of the polynomial and of its derivative
+                place = place * after + powers[k]
+                speed = speed * after + k * powers[k]
+            position[inside], velocity[inside] = place * after + powers[0], speed
         return position, velocity
 
-    def _piece(self, start: int, nodes: int) -> KroghInterpolator:
+    def _piece(self, start: int, nodes: int) -> tuple[float, F64]:
+        """The time of a piece's middle [s], and the coefficients (2 nodes, 3) of rising powers of the time from there.
+
+        Powers are many times faster than the interpolator itself, and as exact about the middle of four nodes.
+        """
         if start not in self._pieces:
             chosen = slice(start, start + nodes)
+            middle = 0.5 * float(self.time_s[start] + self.time_s[start + nodes - 1])
             # A node that stands twice has a value and a derivative.
-            times = np.repeat(self.time_s[chosen] - self.time_s[start], 2)
+            times = np.repeat(self.time_s[chosen] - middle, 2)
             values = np.stack([self.position_m[chosen], self.velocity_m_s[chosen]], axis=1).reshape(-1, 3)
-            self._pieces[start] = KroghInterpolator(times, values)
+            slopes = KroghInterpolator(times, values).derivatives(0.0, der=2 * nodes)
+            self._pieces[start] = middle, slopes / factorial(np.arange(2 * nodes))[:, None]
         return self._pieces[start]
 
-    def covers(self, time_s: ArrayLike, margin_s: float = 0.0) -> bool:
-        """Whether all times lie between the first and the last state vector, or `margin_s` beside them."""
+    def covered(self, time_s: ArrayLike, margin_s: float = 0.0) -> NDArray[np.bool_]:
+        """Which times lie between the first and the last state vector, or `margin_s` beside them."""
         time = np.asarray(time_s, np.float64)
-        return bool((time >= self.time_s[0] - margin_s).all() and (time <= self.time_s[-1] + margin_s).all())
+        return (time >= self.time_s[0] - margin_s) & (time <= self.time_s[-1] + margin_s)
+
+    def covers(self, time_s: ArrayLike, margin_s: float = 0.0) -> bool:
+        """Whether all times do."""
+        return bool(self.covered(time_s, margin_s).all())

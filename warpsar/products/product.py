@@ -101,7 +101,7 @@ class Product:
 
         Raises InputError where the orbit is missing, or does not reach that place.
         """
-        orbit = self._orbit()
+        orbit = self.required_orbit
         place = np.asarray(geodetic, np.float64)
         time, distance = abeam(orbit, geodetic_to_ecef(place), self.grid.middle_s)
         step = float(np.diff(orbit.time_s).max())
@@ -117,14 +117,14 @@ class Product:
     def to_ground(self, line: ArrayLike, pixel: ArrayLike, height_m: ArrayLike) -> F64:
         """Latitude, longitude [deg] and height [m], (..., 3), of lines and pixels at that height."""
         slant = self.grid.slant_m(line, pixel)
-        return locate(self._orbit(), self.grid.time_s(line, pixel), slant, height_m, self.side)
+        return locate(self.required_orbit, self.grid.time_s(line, pixel), slant, height_m, self.side)
 
     def speed_m_s(self, point: ImagedPoint) -> float:
         """How fast zero Doppler moves over the ground at a place [m/s]: what a second of azimuth is long there.
 
         From the two places at height 0 and the same range, half a second before and after.
         """
-        orbit, half = self._orbit(), 0.5
+        orbit, half = self.required_orbit, 0.5
         ends = [locate(orbit, point.time_s + dt, point.slant_range_m, 0.0, self.side) for dt in (-half, half)]
         return float(np.linalg.norm(np.diff([geodetic_to_ecef(end) for end in ends], axis=0))) / (2.0 * half)
 
@@ -135,7 +135,9 @@ class Product:
             abs(self.grid.slant_step_m(point.line, point.pixel)),
         )
 
-    def _orbit(self) -> Orbit:
+    @property
+    def required_orbit(self) -> Orbit:
+        """The orbit. Raises InputError where the file has none."""
         if self.orbit is None:
             raise InputError(f"{self.source}: found no state vectors of the orbit; must be there to place a site")
         return self.orbit

@@ -66,13 +66,18 @@ def read(path: Path, warnings: list[str]) -> list[MeshPart]:
 
 def _check(path: Path, source: DatasetReader) -> None:
     """Refuse by the header, before pixels are read."""
-    if source.count != 1:
-        raise InputError(f"{path}: found {source.count} bands; a DEM must have one, of heights [m]")
+    check_heights(path, source)
     size = path.stat().st_size
     most = min(LARGEST_DEM, LARGEST_PER_BYTE * size)
     if source.width * source.height > most:
         raise InputError(
             f"{path}: found {source.height} x {source.width} heights; must be at most {most}, by its {size} bytes"
         )
+
+
+def check_heights(path: Path, source: DatasetReader) -> None:
+    """Raise InputError for a raster that is no elevation model: several bands, or numbers that are not real."""
+    if source.count != 1:
+        raise InputError(f"{path}: found {source.count} bands; a DEM must have one, of heights [m]")
     if np.dtype(source.dtypes[0]).kind not in "fiu":
         raise InputError(f"{path}: found heights of type {source.dtypes[0]}; must be real numbers")

@@ -1,0 +1,119 @@
+"""`warpsar twin`: what a radar product should show of an elevation model."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from warpsar.cli import options
+from warpsar.formats import registry
+
+
+@click.command(name="twin", short_help="Simulate a radar product from a DEM, on the product's own grid.")
+@click.argument("product", type=click.Path(exists=True, path_type=Path))
+@click.option(
+    "--dem",
+    required=True,
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="GeoTIFF of heights [m], in any coordinate system that PROJ knows.",
+)
+@click.option(
+    "-o",
+    "--out",
+    required=True,
+    type=click.Path(file_okay=False, path_type=Path),
+    help="Folder for report.html, twin.json, the layers and pictures; made if missing.",
+)
+@click.option(
+    "--geoid-offset",
+    type=float,
+    metavar="M",
+    help="Height of the DEM's zero above the WGS 84 ellipsoid [m]; 0 for ellipsoidal heights. Must be said where the "
+    "DEM does not name a vertical datum, or PROJ lacks its grid.",
+)
+@click.option(
+    "--crop",
+    nargs=4,
+    type=float,
+    metavar="WEST SOUTH EAST NORTH",
+    help="The part to simulate, longitudes and latitudes [deg]. Default: all that the DEM covers.",
+)
+@click.option(
+    "--surface",
+    default="grass",
+    show_default=True,
+    metavar="NAME",
+    help="What the ground is: a surface of the library (`warpsar materials` lists them).",
+)
+@click.option(
+    "--polarization",
+    type=click.Choice(["HH", "HV", "VH", "VV"]),
+    help="The image to take, where the product has several.",
+)
+@click.option(
+    "--radiometry",
+    type=click.Choice(["beta0", "sigma0", "gamma0"]),
+    help="What the power of the image is, for products that do not say (GAMMA).",
+)
+@click.option(
+    "--format",
+    "formats",
+    multiple=True,
+    type=click.Choice(["geotiff", "netcdf", "zarr"]),
+    default=("geotiff",),
+    show_default=True,
+    help="Format of the layers; may be given several times.",
+)
+@click.option(
+    "--product-format",
+    "file_format",
+    type=click.Choice(["auto", *registry.names()]),
+    default="auto",
+    show_default=True,
+    help="The product's format.",
+)
+@options.device
+def command(
+    product: Path,
+    dem: Path,
+    out: Path,
+    geoid_offset: float | None,
+    crop: tuple[float, float, float, float] | None,
+    surface: str,
+    polarization: str | None,
+    radiometry: str | None,
+    formats: tuple[str, ...],
+    file_format: str,
+    device: str | None,
+) -> None:
+    """Simulate what PRODUCT should show of the ground: a SAFE folder, an annotation file, .mli, .h5.
+
+    \b
+    Examples:
+      warpsar twin scene.SAFE --dem dem.tif -o twin/
+      warpsar twin scene.SAFE --dem dem.tif --geoid-offset 48.6 --crop 12.45 41.95 12.55 42.05 -o twin/
+    """
+    from warpsar.terrain.command import run
+
+    words = ["warpsar", "twin", str(product), "--dem", str(dem), "-o", str(out)]
+    words += ["--geoid-offset", f"{geoid_offset:g}"] if geoid_offset is not None else []
+    words += ["--crop", *(f"{each:.10g}" for each in crop)] if crop else []
+    words += ["--surface", surface]
+    words += ["--polarization", polarization] if polarization else []
+    words += ["--radiometry", radiometry] if radiometry else []
+    words += [word for one in formats for word in ("--format", one)]
+    run(
+        product,
+        dem,
+        out,
+        surface=surface,
+        crop=crop,
+        geoid_offset_m=geoid_offset,
+        polarization=polarization,
+        radiometry=radiometry,  # type: ignore[arg-type]
+        file_format=file_format,
+        formats=formats,
+        device=device,
+        command=words,
+    )

@@ -1,0 +1,20 @@
+"""What should a product show of the ground that an elevation model gives? The command `twin`.
+
+datum.py         from the heights of a file to heights above the ellipsoid
+elevation.py     an elevation model: read in windows, placed on the earth
+blocks.py        a product's window in blocks of bounded size
+ground.py        the facets of a block, in lines and slant ranges
+projection.py    facets into pixels and cells of the map, on the device
+layers.py        what each layer is: name, unit, words
+result.py        a product's layers together
+summary.py       what they say in a few numbers and words
+comparison.py    measured pixels beside simulated ones, and rivals that know no terrain
+files.py         GeoTIFF, NetCDF and Zarr
+figures.py       pictures with axes
+report.py        report.html
+command.py       all of it
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)  # public: __init__.pyi

@@ -1,0 +1,195 @@
+"""The command `twin`, and `warpsar.twin`: what a product should show of an elevation model, on the product's grid."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from warpsar.errors import InputError, did_you_mean
+from warpsar.formats import registry
+from warpsar.io import figures
+from warpsar.products.product import RADIOMETRIES, Product, Radiometry
+from warpsar.runtime import console, devices
+from warpsar.simulation.materials import sigma0_db
+from warpsar.simulation.outputs import make_folder, write_json
+from warpsar.terrain import files
+from warpsar.terrain.blocks import Box
+from warpsar.terrain.comparison import TerrainComparison, compared
+from warpsar.terrain.elevation import Elevation
+from warpsar.terrain.figures import comparison_figure, image_figure, map_figure
+from warpsar.terrain.report import comparison_words, write_report
+from warpsar.terrain.result import SimulatedProduct, simulated
+from warpsar.terrain.summary import summary
+from warpsar.world.library.fill import material
+from warpsar.world.library.surfaces import SURFACES
+
+F64 = NDArray[np.float64]
+SURFACE = "grass"
+ANGLES_DEG = np.linspace(0.0, 90.0, 361)
+STEEPEST_DEG, SHALLOWEST_DEG = 1.0, 89.0
+"""Backscatter models are asked between; beyond, they have the outer values."""
+POLARIZATIONS = ("HH", "HV", "VH", "VV")
+
+
+def twin(
+    product: Product | PathLike[str] | str,
+    dem: PathLike[str] | str,
+    *,
+    surface: str = SURFACE,
+    crop: Box | None = None,
+    geoid_offset_m: float | None = None,
+    polarization: str | None = None,
+    radiometry: Radiometry | None = None,
+    file_format: str = "auto",
+    device: str | None = None,
+) -> SimulatedProduct:
+    """What a radar product should show of the ground: layers on the product's own grid and on the map.
+
+    `product`: a file, a SAFE folder, or a product that is open. `dem`: a GeoTIFF of heights [m]. Where it does not say
+    above what they are, or PROJ lacks the grid from there to the ellipsoid, `geoid_offset_m` is added to all of them.
+    `surface`: one of the library, everywhere. `crop`: west, south, east, north [deg]; without it all that the DEM
+    covers. `polarization` chooses an image where a product has several. `radiometry` says what power is where the
+    product does not: "beta0", "sigma0" or "gamma0".
+
+    Facets of the ground are brought to zero Doppler by the orbit and cut by the pixels, so their areas are exact. A ray
+    from each piece to the radar says whether it is lit. beta0 is the sum of sigma0 times lit area over the pixel's area
+    in the slant plane; sigma0 and gamma0 divide by the lit areas (Small 2011, IEEE Trans. Geosci. Remote Sens. 49(8)).
+
+    Raises InputError for what cannot be read, for a product without an orbit, and where both do not overlap.
+    """
+    _refuse(surface, crop, radiometry, polarization)
+    where = devices.resolve_device(device)
+    opened = product if isinstance(product, Product) else _opened(Path(product), polarization, file_format)
+    if radiometry is not None and opened.radiometry is None:
+        opened = replace(opened, radiometry=radiometry)
+    _ = opened.required_orbit  # before the elevation model is read
+    elevation = Elevation.read(Path(dem), geoid_offset_m)
+    table = surface_sigma0(surface, opened)[None, :]
+    return simulated(opened, elevation, table, surface, crop, where)
+
+
+def surface_sigma0(surface: str, product: Product) -> F64:
+    """Linear sigma0 of a surface of the library at equal steps of incidence from 0 to 90 degrees."""
+    angles = np.clip(ANGLES_DEG, STEEPEST_DEG, SHALLOWEST_DEG)
+    polarization = product.polarization if product.polarization in POLARIZATIONS else "VV"
+    hertz = product.frequency_hz
+    found = sigma0_db(material(surface, hertz), polarization, hertz, angles)
+    return np.asarray(10.0 ** (found / 10.0))
+
+
+def _refuse(surface: str, crop: Box | None, radiometry: str | None, polarization: str | None) -> None:
+    if surface not in SURFACES:
+        raise InputError(
+            f"--surface: found {surface!r}; must be one of {', '.join(SURFACES)}{did_you_mean(surface, SURFACES)}"
+        )
+    if radiometry is not None and radiometry not in RADIOMETRIES:
+        raise InputError(f"--radiometry: found {radiometry!r}; must be one of {', '.join(RADIOMETRIES)}")
+    if polarization is not None and polarization not in POLARIZATIONS:
+        raise InputError(f"--polarization: found {polarization!r}; must be one of {', '.join(POLARIZATIONS)}")
+    if crop is None:
+        return
+    west, south, east, north = crop
+    inside = -180.0 <= west < east <= 360.0 and -90.0 <= south < north <= 90.0
+    if not all(map(math.isfinite, crop)) or not inside:
+        raise InputError(
+            f"--crop: found {west:g} {south:g} {east:g} {north:g}; must be west, south, east and north in degrees, "
+            "west below east and south below north"
+        )
+
+
+def _opened(path: Path, polarization: str | None, file_format: str) -> Product:
+    found = registry.products(path, file_format=file_format, polarization=polarization)
+    if len(found) > 1:
+        names = ", ".join(Path(one.source).name for one in found)
+        kinds = sorted({one.polarization or "unknown" for one in found})
+        raise InputError(
+            f"{path}: found {len(found)} images ({names}; polarizations {', '.join(kinds)}); name one annotation file, "
+            "or --polarization"
+        )
+    return found[0]
+
+
+def run(
+    product: Path,
+    dem: Path,
+    out: Path,
+    *,
+    surface: str = SURFACE,
+    crop: Box | None = None,
+    geoid_offset_m: float | None = None,
+    polarization: str | None = None,
+    radiometry: Radiometry | None = None,
+    file_format: str = "auto",
+    formats: Sequence[str] = ("geotiff",),
+    device: str | None = None,
+    command: Sequence[str] = (),
+) -> dict[str, Any]:
+    """`warpsar twin`: the files in `out`. Returns the JSON's content. Raises InputError and DeviceError."""
+    started = time.perf_counter()
+    for one in formats:
+        if one in files.EXTRAS:
+            files.EXTRAS[one].require(f"--format {one}:")
+    where = devices.resolve_device(device)
+    console.say_device(where)
+    found = twin(
+        product,
+        dem,
+        surface=surface,
+        crop=crop,
+        geoid_offset_m=geoid_offset_m,
+        polarization=polarization,
+        radiometry=radiometry,
+        file_format=file_format,
+        device=device,
+    )
+    make_folder(out)  # nothing is written for what is refused
+    said = summary(found)
+    written = [name for one in dict.fromkeys(formats) for name in files.write(found, out, one)]
+    against = compared(found)
+    drawn = {"image.png": image_figure(found), "map.png": map_figure(found)}
+    if isinstance(against, TerrainComparison):
+        drawn["comparison.png"] = comparison_figure(found, against)
+    for name, figure in drawn.items():
+        figures.save(figure, out / name)
+    written += list(drawn)
+    source = Path(found.product.source)
+    content = {
+        "input": {"scene": source.name, "sha256": _digest(source, dem)},
+        **files.facts(found),
+        "window": {"lines": list(found.window.lines), "pixels": list(found.window.pixels)},
+        "map_shape": list(next(iter(found.map.values())).shape),
+        "blocks": found.blocks,
+        **said.content(),
+        "comparison": against.content() if isinstance(against, TerrainComparison) else against,
+        "files": [*written, "report.html"],
+        "settings": {
+            "crop": crop,
+            "geoid_offset_m": geoid_offset_m,
+            "radiometry": radiometry,
+            "formats": list(formats),
+        },
+    }
+    content = write_json(out / "twin.json", None, where, None, started, content)
+    write_report(out / "report.html", said, against, drawn, content, command)
+    console.say_written(out, "report.html", "twin.json", *written)
+    print("\n".join([*said.words, *comparison_words(against)]))
+    return content
+
+
+def _digest(source: Path, dem: Path) -> str:
+    """Of the annotation, or of the image file, and of the elevation model, one after the other."""
+    total = hashlib.sha256()
+    for path in (source, dem):
+        with path.open("rb") as file:
+            while piece := file.read(2**20):
+                total.update(piece)
+    return total.hexdigest()

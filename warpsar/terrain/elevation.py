@@ -1,0 +1,136 @@
+"""An elevation model in GeoTIFF: read in windows, its posts placed on the earth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from warpsar.errors import InputError
+from warpsar.io import geotiff
+from warpsar.terrain.datum import VerticalDatum, datum_of
+from warpsar.world.earth import geodetic_to_ecef
+from warpsar.world.meshes.dem import LARGEST_PER_BYTE, check_heights
+
+F64 = NDArray[np.float64]
+HEIGHTS_M = (-500.0, 9000.0)
+"""Of the land, with a margin: others are no metres, or a value of no data that the file does not name."""
+READ_POSTS = 2**22
+LARGEST_SIDE = 2**18
+"""Posts along one side; 1 arc second over 72 degrees."""
+
+
+@dataclass(frozen=True)
+class PostWindow:
+    """Rows and columns from `row` and `column` on: longitude, latitude [deg] and ellipsoidal height [m], (rows,
+    columns) each; height is NaN where there is no data."""
+
+    row: int
+    column: int
+    longitude: F64
+    latitude: F64
+    height: F64
+
+
+@dataclass(frozen=True)
+class Elevation:
+    """A raster of heights; posts are the middles of its pixels."""
+
+    path: Path
+    shape: tuple[int, int]
+    crs: Any
+    """rasterio's."""
+    affine: Any
+    datum: VerticalDatum
+    lowest_m: float
+    """Above the ellipsoid, of all posts."""
+    highest_m: float
+    spacing_m: tuple[float, float]
+    """Between rows, and between columns, in the middle."""
+
+    @classmethod
+    def read(cls, path: Path, geoid_offset_m: float | None = None) -> Elevation:
+        """Raises InputError for a file that holds no heights, does not say where, or above what."""
+        with geotiff.opened(path) as source:
+            check_heights(path, source)
+            if source.crs is None:
+                raise InputError(f"{path}: found no coordinate system; must have one")
+            shape, crs, affine = (source.height, source.width), source.crs, source.transform
+            if min(shape) < 2 or max(shape) > LARGEST_SIDE:
+                raise InputError(
+                    f"{path}: found {shape[0]} x {shape[1]} heights; must be at least 2 x 2, and at most "
+                    f"{LARGEST_SIDE} along a side"
+                )
+            if shape[0] * shape[1] > LARGEST_PER_BYTE * path.stat().st_size:
+                raise InputError(
+                    f"{path}: found {shape[0]} x {shape[1]} heights in {path.stat().st_size} bytes: broken"
+                )
+            datum = datum_of(path, crs.to_wkt(), geoid_offset_m)
+            low, high = np.inf, -np.inf
+            rows = max(READ_POSTS // shape[1], 1)
+            for first in range(0, shape[0], rows):
+                band = _heights(source, first, min(first + rows, shape[0]), 0, shape[1])
+                if np.isfinite(band).any():
+                    low, high = min(low, np.nanmin(band)), max(high, np.nanmax(band))
+        if not low <= high:
+            raise InputError(f"{path}: found no valid height; must hold some")
+        if low < HEIGHTS_M[0] or high > HEIGHTS_M[1]:
+            raise InputError(
+                f"{path}: found heights from {low:g} to {high:g}; must be metres from {HEIGHTS_M[0]:g} to "
+                f"{HEIGHTS_M[1]:g}, and what means no data must be named in the file"
+            )
+        row, column = shape[0] // 2, shape[1] // 2
+        row, column = min(row, shape[0] - 2), min(column, shape[1] - 2)
+        square = _placed(affine, datum, np.array([row, row + 1]), np.array([column, column + 1]), np.zeros((2, 2)))
+        lifted = square[2].mean()  # what the datum adds there
+        corner = geodetic_to_ecef(np.stack([square[1], square[0], 0.0 * square[2]], axis=-1))
+        steps = np.linalg.norm(corner[1, 0] - corner[0, 0]), np.linalg.norm(corner[0, 1] - corner[0, 0])
+        if not all(np.isfinite(steps)) or min(steps) <= 0.0:
+            raise InputError(f"{path}: its pixels have no size on the earth; check its coordinate system")
+        margin = 10.0  # [m]: the geoid is not level over the file
+        return cls(
+            path, shape, crs, affine, datum, float(low + lifted - margin), float(high + lifted + margin),
+            (float(steps[0]), float(steps[1])),
+        )  # fmt: skip
+
+    def window(self, rows: tuple[int, int], columns: tuple[int, int]) -> PostWindow:
+        """Posts of rows and columns, from the first up to the last, that excluded."""
+        with geotiff.opened(self.path) as source:
+            height = _heights(source, *rows, *columns)
+        placed = _placed(self.affine, self.datum, np.arange(*rows), np.arange(*columns), height)
+        return PostWindow(rows[0], columns[0], *placed)
+
+    def posts_at(self, longitude: F64, latitude: F64) -> tuple[F64, F64]:
+        """Rows and columns of places [deg]; whole numbers are posts."""
+        with geotiff.projecting(self.path):
+            from rasterio.warp import transform
+
+            flat = [np.asarray(each, np.float64).ravel() for each in (longitude, latitude)]
+            x, y = (np.asarray(each) for each in transform("EPSG:4326", self.crs, *flat))
+        column, row = _through(~self.affine, x, y)
+        shape = np.shape(longitude)
+        return np.reshape(row, shape) - 0.5, np.reshape(column, shape) - 0.5
+
+
+def _heights(source: Any, top: int, bottom: int, left: int, right: int) -> F64:
+    band = source.read(1, window=((top, bottom), (left, right)), masked=True)
+    found = np.ma.filled(band.astype(np.float64), np.nan) * source.scales[0] + source.offsets[0]
+    return np.where(np.isfinite(found), found, np.nan)
+
+
+def _through(affine: Any, x: F64, y: F64) -> tuple[F64, F64]:
+    return affine.a * x + affine.b * y + affine.c, affine.d * x + affine.e * y + affine.f
+
+
+def _placed(
+    affine: Any, datum: VerticalDatum, rows: NDArray[np.int64], columns: NDArray[np.int64], height: F64
+) -> tuple[F64, F64, F64]:
+    """Longitude, latitude and ellipsoidal height. A post without a height keeps its place."""
+    column, row = np.meshgrid(columns + 0.5, rows + 0.5)
+    x, y = _through(affine, column, row)
+    known = np.isfinite(height)
+    longitude, latitude, lifted = datum.to_geodetic(x, y, np.where(known, height, 0.0))
+    return longitude, latitude, np.where(known, lifted, np.nan)

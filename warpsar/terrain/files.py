@@ -1,0 +1,138 @@
+"""Layers in files: GeoTIFF, NetCDF and Zarr with attributes by the CF conventions 1.11."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from uuid import uuid4
+
+import numpy as np
+
+from warpsar.formats.base.extra import Extra
+from warpsar.io.geotiff import write_cog
+from warpsar.io.images import replacing
+from warpsar.terrain.layers import Layer, of_image, of_map
+from warpsar.terrain.result import SimulatedProduct
+from warpsar.version import __version__
+
+if TYPE_CHECKING:
+    import xarray
+
+FORMATS = ("geotiff", "netcdf", "zarr")
+EXTRAS = {
+    "netcdf": Extra("xarray", ("xarray", "h5netcdf")),
+    "zarr": Extra("xarray", ("xarray", "zarr")),
+}
+PLACE = ("longitude", "latitude", "height")
+
+
+def facts(found: SimulatedProduct) -> dict[str, Any]:
+    """What every file says of the product."""
+    product = found.product
+    return {
+        "product": Path(product.source).name,
+        "platform": product.platform,
+        "acquired": str(product.date(product.grid.middle_s)),
+        "polarization": product.polarization or "unknown",
+        "frequency_hz": product.frequency_hz,
+        "look_side": product.side,
+        "elevation_model": found.elevation.path.name,
+        "vertical_datum": found.elevation.datum.words,
+        "first_line": found.window.lines[0],
+        "first_pixel": found.window.pixels[0],
+        "surface": found.surface,
+        "pixels": found.pixels,
+        "software": f"warpsar {__version__}",
+    }
+
+
+def write(found: SimulatedProduct, out: Path, file_format: str) -> list[str]:
+    """The layers in one format. Returns the names of the files in `out`."""
+    if file_format == "geotiff":
+        image = {name: values for name, values in found.image.items() if name not in PLACE}
+        place = {name: found.image[name] for name in PLACE}
+        axes = "rows: lines of the product from first_line on; columns: its pixels from first_pixel on"
+        write_cog(out / "image.tif", image, {**facts(found), "axes": axes, **_units(image, False)})
+        write_cog(
+            out / "image_place.tif", place, {**facts(found), "axes": axes, **_units(place, False)}, kind="float64"
+        )
+        write_cog(out / "map.tif", found.map, {**facts(found), **_units(found.map, True)}, found.map_place)
+        return ["image.tif", "image_place.tif", "map.tif"]
+    names = []
+    for name, data in (("image", image_dataset(found)), ("map", map_dataset(found))):
+        if file_format == "netcdf":
+            names.append(f"{name}.nc")
+            packed = {each: {"zlib": True, "complevel": 4} for each in data.data_vars if data[each].ndim}
+            with replacing(out / names[-1]) as temporary:
+                data.to_netcdf(temporary, engine="h5netcdf", encoding=packed)
+        else:
+            names.append(f"{name}.zarr")
+            _write_zarr(out / names[-1], data)
+    return names
+
+
+def _units(bands: dict[str, np.ndarray], on_map: bool) -> dict[str, str]:
+    layers = [of_map(name) if on_map else of_image(name) for name in bands]
+    return {f"band_{one.name}": f"{one.words} [{one.unit}]" for one in layers}
+
+
+def _write_zarr(path: Path, data: xarray.Dataset) -> None:
+    """A folder, which takes the place of one that was there when it is whole."""
+    temporary = path.with_name(f".{uuid4().hex}{path.suffix}")
+    try:
+        data.to_zarr(temporary, mode="w", zarr_format=2, consolidated=True)
+        if path.exists():
+            shutil.rmtree(path)
+        os.replace(temporary, path)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def image_dataset(found: SimulatedProduct) -> xarray.Dataset:
+    """Layers on the product's grid, along `line` and `pixel`; longitude and latitude are coordinates."""
+    EXTRAS["netcdf"].require("image_dataset:")
+    import xarray
+
+    variables = {name: _variable(("line", "pixel"), values, of_image(name)) for name, values in found.image.items()}
+    places = {name: variables.pop(name) for name in ("longitude", "latitude")}
+    axes = {
+        name: ((name,), np.arange(*ends), {"long_name": f"{name} of the product, from 0", "units": "1"})
+        for name, ends in (("line", found.window.lines), ("pixel", found.window.pixels))
+    }
+    return xarray.Dataset(variables, {**axes, **places}, {"Conventions": "CF-1.11", **facts(found)})
+
+
+def map_dataset(found: SimulatedProduct) -> xarray.Dataset:
+    """Layers on the map, along `y` and `x`, with a grid mapping `spatial_ref` as CF and rioxarray know it."""
+    EXTRAS["netcdf"].require("map_dataset:")
+    import xarray
+
+    place = found.map_place
+    rows, columns = next(iter(found.map.values())).shape
+    variables: dict[str, Any] = {}
+    for name, values in found.map.items():
+        dimensions, array, attributes = _variable(("y", "x"), values, of_map(name))
+        variables[name] = dimensions, array, {**attributes, "grid_mapping": "spatial_ref"}
+    affine = place.affine
+    words = " ".join(f"{each:.17g}" for each in affine.to_gdal())
+    variables["spatial_ref"] = (), np.int32(0), {"crs_wkt": place.crs.to_wkt(), "GeoTransform": words}
+    geographic = place.crs.is_geographic
+    kinds = (
+        ("x", columns, affine.a, affine.c, "longitude" if geographic else "projection_x_coordinate"),
+        ("y", rows, affine.e, affine.f, "latitude" if geographic else "projection_y_coordinate"),
+    )
+    unit = {"x": "degree_east", "y": "degree_north"} if geographic else {"x": "m", "y": "m"}
+    axes = {
+        name: ((name,), start + step * (np.arange(count) + 0.5), {"standard_name": kind, "units": unit[name]})
+        for name, count, step, start, kind in kinds
+    }
+    return xarray.Dataset(variables, axes, {"Conventions": "CF-1.11", **facts(found)})
+
+
+def _variable(dimensions: tuple[str, str], values: np.ndarray, layer: Layer) -> tuple[Any, np.ndarray, dict[str, str]]:
+    attributes = {"long_name": layer.words, "units": layer.unit}
+    if layer.standard_name is not None:
+        attributes["standard_name"] = layer.standard_name
+    return dimensions, values, attributes

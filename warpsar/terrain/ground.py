@@ -1,0 +1,140 @@
+"""The ground that one block of a product may show: posts in lines and slant ranges, and facets between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from warpsar.products.grid import LineGrid
+from warpsar.products.product import Product
+from warpsar.products.zero_doppler import abeam, axes_up, locate
+from warpsar.terrain.blocks import ImageBlock
+from warpsar.terrain.elevation import Elevation
+from warpsar.world.earth import LocalEarth, geodetic_to_ecef
+
+F64 = NDArray[np.float64]
+TOLERANCE_S = 1e-8
+"""Of zero-Doppler times: under 0.1 mm of flight."""
+
+
+@dataclass(frozen=True)
+class GroundPosts:
+    """Posts (n,) of a block, and facets (m, 3) between them, counter-clockwise from above."""
+
+    point_m: F64
+    """(n, 3), local: east, north and up at `origin`."""
+    geodetic: F64
+    """(n, 3): latitude, longitude [deg], height [m]."""
+    line: F64
+    """From the block's first."""
+    slant_m: F64
+    """From `start_m`."""
+    look: F64
+    """(n, 3): unit vectors to the radar, local."""
+    up: F64
+    """(n, 3): the ellipsoid's normals, local."""
+    facets: NDArray[np.int32]
+    origin: LocalEarth
+    start_m: float
+    forward: float
+    """Sign of a level facet's area in (line, slant range)."""
+    window: tuple[int, int, int, int]
+    """Rows and columns of the elevation model that the posts are: first row, rows, first column, columns."""
+    cell: NDArray[np.int64]
+    """(rows - 1, columns - 1): the first of the two facets between four posts; -1 for none."""
+    turned: bool
+    """Whether facets have their corners in the other order than the raster has: its rows run north, or columns west."""
+
+    def cells(self, rows: F64, columns: F64) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.int64]]:
+        """On which facet places of a grid of rows (a,) and columns (b,) of the elevation model lie.
+
+        The facet (n,), barycentric weights (n, 2) of its corners 1 and 2, and which of the a * b places they are.
+        """
+        row, column = np.meshgrid(rows - self.window[0], columns - self.window[2], indexing="ij")
+        top = np.floor(row).astype(np.int64)
+        left = np.floor(column).astype(np.int64)
+        inside = (top >= 0) & (top < self.cell.shape[0]) & (left >= 0) & (left < self.cell.shape[1])
+        which = np.flatnonzero(inside)
+        first = self.cell[top.ravel()[which], left.ravel()[which]]
+        which, first = which[first >= 0], first[first >= 0]
+        down, along = ((each - np.floor(each)).ravel()[which] for each in (row, column))
+        upper = down + along <= 1.0
+        one = np.where(upper, down, 1.0 - along)
+        two = np.where(upper, along, down + along - 1.0)
+        if self.turned:
+            two = 1.0 - one - two
+        weights = np.stack([one, two], axis=-1).astype(np.float32)
+        return (first + ~upper).astype(np.int32), weights, which
+
+
+def ground_of(product: Product, elevation: Elevation, block: ImageBlock) -> GroundPosts | None:
+    """None where the elevation model has no data there."""
+    found = elevation.window(block.rows, block.columns)
+    rows, columns = found.height.shape
+    known = np.isfinite(found.height)
+    whole = known[:-1, :-1] & known[1:, :-1] & known[:-1, 1:] & known[1:, 1:]
+    if not whole.any():
+        return None
+    number = np.arange(rows * columns).reshape(rows, columns)
+    corner = number[:-1, :-1][whole]
+    # the diagonal is that of `world/meshes/dem.py`
+    pairs = np.stack(
+        [
+            np.stack([corner, corner + columns, corner + 1], axis=1),
+            np.stack([corner + 1, corner + columns, corner + columns + 1], axis=1),
+        ],
+        axis=1,
+    )
+    used = np.zeros(rows * columns, bool)
+    used[pairs] = True
+    post = np.where(used, np.cumsum(used) - 1, -1)
+    cell = np.full(whole.shape, -1, np.int64)
+    cell[whole] = 2 * np.arange(corner.size)
+    facets = post[pairs.reshape(-1, 3)]
+    geodetic = np.stack([each.ravel()[used] for each in (found.latitude, found.longitude, found.height)], axis=-1)
+    point = geodetic_to_ecef(geodetic)
+    middle = block.grid.time_s(
+        0.5 * (block.window.lines[0] + block.window.lines[1]) - block.grid_line,
+        0.5 * (block.window.pixels[0] + block.window.pixels[1]),
+    )
+    orbit = product.required_orbit
+    time, slant = abeam(orbit, point, float(middle), TOLERANCE_S)
+    origin = LocalEarth(*geodetic.mean(axis=0))
+    centre = geodetic_to_ecef(np.array([origin.latitude_deg, origin.longitude_deg, origin.height_m]))
+    local = (point - centre) @ origin.axes.T
+    look = (orbit.at(time)[0] - point) / slant[:, None] @ origin.axes.T
+    a, b, c = (local[facets[0, i], :2] for i in range(3))
+    turned = bool(_around(a, b, c) < 0.0)
+    if turned:
+        facets = facets[:, ::-1]
+    line = block.grid.line(time, slant) - (block.window.lines[0] - block.grid_line)
+    start = float(slant.mean())
+    return GroundPosts(
+        local, geodetic, line, slant - start, look, axes_up(geodetic) @ origin.axes.T,
+        np.ascontiguousarray(facets, np.int32), origin, start, _forward(product, block.grid, float(middle), start),
+        (found.row, rows, found.column, columns), cell, turned,
+    )  # fmt: skip
+
+
+def _forward(product: Product, grid: LineGrid, time: float, slant: float) -> float:
+    """Of three places on the ellipsoid, counter-clockwise from above: the sign of their area in (line, slant range)."""
+    orbit = product.required_orbit
+    at = locate(orbit, [time, time + 0.01, time], [slant, slant, slant + 20.0], 0.0, product.side)
+    here = LocalEarth(*at[0])
+    local = (geodetic_to_ecef(at) - geodetic_to_ecef(at[0])) @ here.axes.T
+    return float(np.sign(_around(*local[:, :2])) * np.sign(grid.line_s))
+
+
+def _around(a: F64, b: F64, c: F64) -> float:
+    """Positive for three places on the plane that run counter-clockwise."""
+    return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
+
+
+def edges_of(grid: LineGrid, lines: tuple[int, int], pixels: tuple[int, int]) -> F64:
+    """Slant ranges [m] at which pixels begin and end, (lines, pixels + 1), lines of this grid."""
+    line = np.arange(*lines)[:, None]
+    pixel = np.arange(pixels[0], pixels[1] + 1)[None, :] - 0.5
+    found: F64 = np.broadcast_to(grid.slant_m(line, pixel), (line.size, pixel.size))
+    return found

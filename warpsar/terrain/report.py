@@ -1,0 +1,84 @@
+"""report.html of `warpsar twin`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from warpsar.io import html as report
+from warpsar.terrain.comparison import TerrainComparison
+from warpsar.terrain.summary import TwinSummary
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SAID = {
+    "image.png": "On the product's grid: lines downward, pixels to the right. Blue: no ground, or nothing is seen",
+    "map.png": "On the map",
+    "comparison.png": "Cells of the measured and the simulated image, and what is left, less its median",
+}
+LIMITS = (
+    "One bounce, one surface of the library everywhere. No buildings, trees or water, and no speckle.",
+    "Places are those of orbit and annotation. Atmosphere, tides and the product's own timing are not corrected.",
+    "At the near edge of the elevation model nothing throws a shadow from outside of it.",
+    "A ray to the radar starts at the middle of each piece of a facet: borders of shadow are right to about half a "
+    "pixel.",
+)
+
+
+def write_report(
+    path: Path,
+    said: TwinSummary,
+    against: TerrainComparison | str | None,
+    drawn: Mapping[str, Figure],
+    content: dict[str, Any],
+    command: Sequence[str],
+) -> None:
+    """`content` is that of twin.json, `command` the words that made it."""
+    lead = f"warpsar twin {content['version']}; {content['product']}, {content['acquired'][:19]} UTC"
+    pictures = {name: report.picture(_png(figure), SAID[name]) for name, figure in drawn.items()}
+    compared = [report.paragraph(_sentence(each)) for each in comparison_words(against)]
+    if against is not None:
+        compared += [pictures.pop("comparison.png")] if "comparison.png" in pictures else []
+    rows = [[one.name, one.unit, *(f"{value:.4g}" for value in one.percentiles), one.words] for one in said.layers]
+    columns = ["layer", "unit", "5 %", "median", "95 %", "what it is"]
+    facts = [
+        (name.replace("_", " "), str(content[name]))
+        for name in (
+            *("platform", "polarization", "frequency_hz", "look_side", "elevation_model", "vertical_datum", "surface"),
+            *("pixels", "first_line", "first_pixel"),
+        )
+    ]
+    sections = [
+        report.section("In short", *(report.paragraph(_sentence(each)) for each in said.words)),
+        *([report.section("Measured beside simulated", *compared)] if compared else []),
+        report.section("Pictures", *pictures.values()),
+        report.section("Layers", report.table(columns, rows, "Percentiles over the pixels with ground", (5,))),
+        report.section("What is left out", report.bullets(LIMITS)),
+        report.section("Product", report.facts(facts)),
+        report.reproduce(content, list(command) or ["warpsar", "twin"], f"Beside this file: {_beside(content)}."),
+    ]
+    report.write(path, report.page("What the product should show", lead, *sections))
+
+
+def comparison_words(against: TerrainComparison | str | None) -> list[str]:
+    """What the comparison says, a line each; nothing where there is none."""
+    if against is None:
+        return []
+    return [against] if isinstance(against, str) else list(against.words)
+
+
+def _sentence(words: str) -> str:
+    return f"{words[0].upper()}{words[1:]}."
+
+
+def _beside(content: dict[str, Any]) -> str:
+    return ", ".join(["twin.json", *(name for name in content["files"] if name != "report.html")])
+
+
+def _png(figure: Figure) -> bytes:
+    stream = BytesIO()
+    figure.savefig(stream, format="png", dpi=110)
+    return stream.getvalue()

@@ -1,0 +1,70 @@
+"""What the layers say in a few numbers and words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from warpsar.terrain.layers import of_image
+from warpsar.terrain.result import SimulatedProduct
+
+LEVELS = (5.0, 50.0, 95.0)
+"""Percentiles."""
+
+
+@dataclass(frozen=True)
+class LayerSummary:
+    """Percentiles of a layer's values, in its unit; dB for powers."""
+
+    name: str
+    unit: str
+    words: str
+    percentiles: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class TwinSummary:
+    """Of the part of the product where there is ground. Shares are of its pixels, from 0 to 1."""
+
+    shape: tuple[int, int]
+    ground: float
+    layover: float
+    shadow: float
+    layers: tuple[LayerSummary, ...]
+    words: tuple[str, ...]
+
+    def content(self) -> dict[str, Any]:
+        return {
+            "shares": {"ground": self.ground, "layover": self.layover, "shadow": self.shadow},
+            "layers": {
+                one.name: dict(zip(("p5", "median", "p95"), one.percentiles, strict=True)) | {"unit": one.unit}
+                for one in self.layers
+            },
+            "words": list(self.words),
+        }
+
+
+def summary(found: SimulatedProduct) -> TwinSummary:
+    """Percentiles of each layer, shares of layover and shadow, and sentences for people."""
+    image = found.image
+    covered = np.isfinite(image["surfaces"])
+    shares = [float(np.mean(image[name][covered] >= 0.5)) for name in ("layover", "shadow")]
+    layers = []
+    for name, values in image.items():
+        layer = of_image(name)
+        known = np.asarray(values[covered], np.float64)
+        known = known[np.isfinite(known)]
+        unit = layer.unit
+        if layer.kind == "power":
+            known, unit = 10.0 * np.log10(known[known > 0.0]), "dB"
+        if known.size:
+            layers.append(LayerSummary(name, unit, layer.words, tuple(np.percentile(known, LEVELS).tolist())))
+    rows, columns = found.window.shape
+    words = [
+        f"{rows} lines x {columns} pixels of {found.product.platform}, {found.pixels}",
+        f"ground in {covered.mean():.1%} of them; of those {shares[0]:.2%} in layover, {shares[1]:.2%} in shadow",
+        f"heights: {found.elevation.datum.words}",
+    ]
+    return TwinSummary((rows, columns), float(covered.mean()), shares[0], shares[1], tuple(layers), tuple(words))
