@@ -14,12 +14,10 @@ from warpsar.calibration.differences import BadDate, Differences, absent, bad_da
 from warpsar.calibration.joint import (
     ALIKE,
     CONFIDENCE,
-    CauseFit,
-    CauseModel,
     JointFit,
     Trials,
     by_image,
-    fit_model,
+    fits_alone,
     halves,
     joint,
     together_words,
@@ -136,11 +134,11 @@ def alone(every: Trials, early: Trials | None, late: Differences | None) -> list
     """Each cause by itself at its best, the most likely one first; and how likely it makes the later dates."""
     later: dict[str, float] = {}
     if early is not None and late is not None:
-        for name, fit in _fits(early).items():
+        for name, fit in fits_alone(early).items():
             later[name] = float(by_image(fit, late).sum()) / len(late) - 0.5 * float(np.log(2.0 * np.pi))
     z = float(norm.ppf(0.5 + 0.5 * CONFIDENCE))
     found = []
-    for name, fit in _fits(every).items():
+    for name, fit in fits_alone(every).items():
         (cause,), (x,) = fit.model.causes, fit.values
         (error,) = fit.model.full(np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)))
         reach = np.where(fit.model.fixed[0], 0.0, z * error)
@@ -151,17 +149,6 @@ def alone(every: Trials, early: Trials | None, late: Differences | None) -> list
             )
         )
     return sorted(found, key=lambda one: one.bic)
-
-
-def _fits(trials: Trials) -> dict[str, CauseFit]:
-    """Of each cause alone."""
-    data, bare = trials.data, fit_model(CauseModel(()), trials.data)
-    found = {}
-    for cause in trials.rivals + trials.causes:
-        started = trials.best(bare.model, bare.free, bare.scatter, [cause])
-        model, start = started[0][1:] if started else (CauseModel((cause,)), None)
-        found[cause.name] = fit_model(model, data, bare.scatter, start)
-    return found
 
 
 # ---- what is tied ----
