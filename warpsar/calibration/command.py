@@ -17,7 +17,7 @@ from warpsar.calibration.engine import engine_rcs_m2
 from warpsar.calibration.explain import Explanation, explain
 from warpsar.calibration.forecast import Forecast, forecast
 from warpsar.calibration.geolocation import Geolocation, geolocation
-from warpsar.calibration.measure import ReflectorObservation, observe
+from warpsar.calibration.measure import ReflectorObservation, observe, told_apart
 from warpsar.calibration.point import PointSettings
 from warpsar.calibration.presence import FoundPlace, Presence, find_place, presences, settled, standing
 from warpsar.calibration.report import write_report
@@ -94,7 +94,8 @@ def reflectors(
     bar = console.progress(len(opened), "reflectors", "product")
     for product in opened:
         date = product.date(product.grid.middle_s)
-        found += [observe(product, site, allowance_m, settings, radiometry) for site in sites_at(table, date)]
+        seen = [observe(product, site, allowance_m, settings, radiometry) for site in sites_at(table, date)]
+        found += told_apart(seen, settings)
         bar.update()
     bar.close()
     found = _without_other_swaths(found)
@@ -193,7 +194,11 @@ def _opened(
         chosen = [p for p in several if polarization or p.polarization is None or p.polarization in CO_POLARIZED]
         if not chosen:
             refused.append(f"{one}: found no co-polarized image; must be HH or VV, or name it with --polarization")
-        opened += chosen
+        for each in chosen:
+            if (each.source, each.polarization) in {(p.source, p.polarization) for p in opened}:
+                refused.append(f"{each.source}: named twice; it is taken once")
+            else:
+                opened.append(each)
     if not opened:
         raise InputError("\n  ".join(["no product can be measured:", *refused]) if refused else "no product given")
     return opened, refused

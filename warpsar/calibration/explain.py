@@ -116,7 +116,7 @@ def explain(observations: Sequence[ReflectorObservation]) -> Explanation:
     all_of_them, missing = Differences.of(observations), absent(observations)
     if len(all_of_them) < 1:
         nothing = "Nothing can be explained: no reflector is measured and predicted."
-        return Explanation((), (), tuple(missing), (nothing,), 0)
+        return Explanation((), (), tuple(missing), (nothing, *_turned_away(observations)), 0)
     bad, good = bad_dates(all_of_them)
     bad = sorted([*missing, *bad], key=lambda one: (one.site, one.date))
     data = all_of_them.part(good)
@@ -126,8 +126,23 @@ def explain(observations: Sequence[ReflectorObservation]) -> Explanation:
     tied = _ties(fitted, data)
     found = joint(data, causes, _situations(data), trials)
     attitudes = attitude_solutions(found, data)
-    words = _words(fitted, tied, bad, data, found, attitudes)
+    words = _words(fitted, tied, bad, data, found, attitudes) + _turned_away(observations)
     return Explanation(tuple(fitted), tuple(tied), tuple(bad), tuple(words), len(data), data, found, tuple(attitudes))
+
+
+def _turned_away(observations: Sequence[ReflectorObservation]) -> list[str]:
+    """A line for each reflector that is measured while its stated attitude hides its inside from the radar."""
+    said: dict[str, str] = {}
+    for one in observations:
+        if one.status != "measured" or one.facing is None or one.expected is None or one.predicted_m2:
+            continue
+        said.setdefault(
+            one.site.name,
+            f"{one.site.name} is measured and not predicted: by its table it faces azimuth {one.facing.azimuth_deg:g} "
+            f"degrees, clockwise from north, while the radar stands at {one.expected.azimuth_deg:.0f} and sees no "
+            "inside. From where does that azimuth count?",
+        )
+    return list(said.values())
 
 
 def alone(every: Trials, early: Trials | None, late: Differences | None) -> list[FittedCause]:

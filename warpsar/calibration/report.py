@@ -140,9 +140,9 @@ def _held_back(found: Forecast | None) -> str:
     if found is None or not found.values:
         return ""
     said = (
-        "Places, set-up dates, bad dates and causes are found from the earlier dates alone. Causes together, each cause "
-        "alone, and both rivals foretell the later values; they are averaged by their odds. The last two columns are "
-        "the rival's: the mean level of this reflector and pass."
+        "Places, set-up dates, bad dates and causes are found from the earlier dates alone. Causes together, each "
+        "cause alone, and both rivals foretell the later values; they are averaged by their odds. The last two "
+        "columns are the rival's: the mean level of this reflector and pass."
     )
     rows = []
     for one in found.values[:MOST_ROWS]:
