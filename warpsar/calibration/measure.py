@@ -100,7 +100,7 @@ class ReflectorObservation:
     @property
     def offset_m(self) -> tuple[float, float] | None:
         """Found less expected place, in azimuth and slant range."""
-        if self.status == "not seen" or None in (self.point, self.expected, self.spacing_m):
+        if self.status in ("not seen", "not apart") or None in (self.point, self.expected, self.spacing_m):
             return None
         assert self.point is not None
         assert self.expected is not None
