@@ -123,7 +123,7 @@ def _first_held_back(given: str | np.datetime64 | None, opened: Sequence[Product
         return None
     dates = sorted(one.date(one.grid.middle_s) for one in opened)
     try:
-        since = np.datetime64(given, "D").astype("datetime64[us]")
+        since = np.datetime64(str(given)).astype("datetime64[D]").astype("datetime64[us]")
     except ValueError:
         raise InputError(f"hold_back: found {str(given)[:40]!r}; must be a date like 2024-06-01") from None
     if not dates[0] < since <= dates[-1]:
