@@ -1,7 +1,8 @@
 """How often causes of made-up differences are found together, falsely named, and covered by their intervals.
 
     python benchmarks/reflectors_causes.py            # 60 worlds of each kind, some 3 minutes
-    python benchmarks/reflectors_causes.py --worlds 10
+    python benchmarks/reflectors_causes.py --worlds 10 --kinds loss three
+    python benchmarks/reflectors_causes.py --hold-back  # how often intervals that are foretold hold later values
 
 Three reflectors, two passes, 12 dates each: 0.3 dB of scatter from value to value, 0.15 dB from image to image, clutter
 some 25 dB below. Kinds: nothing is wrong; one cause; three at once (constant, a loss, a step).
@@ -16,6 +17,7 @@ import numpy as np
 
 from warpsar.calibration.attitude import Facing, trihedral_rcs_m2
 from warpsar.calibration.explain import explain
+from warpsar.calibration.forecast import forecast
 from warpsar.calibration.measure import ReflectorObservation
 from warpsar.calibration.point import PointMeasurement, interval
 from warpsar.calibration.sites import ReflectorSite
@@ -80,9 +82,17 @@ def observation(name: str, day: int, azimuth: float, incidence: float, off_db: f
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--worlds", type=int, default=60)
-    worlds = parser.parse_args().worlds
+    parser.add_argument("--kinds", nargs="+", choices=list(KINDS), default=list(KINDS))
+    parser.add_argument("--hold-back", action="store_true", help="foretell the last third of the dates instead")
+    given = parser.parse_args()
+    worlds = given.worlds
+    if given.hold_back:
+        held_back(worlds, given.kinds)
+        return
     print("kind: all causes named, or tied to what is named; worlds with a cause that is not there; interval holds")
     for k, (kind, (off, truth)) in enumerate(KINDS.items()):
+        if kind not in given.kinds:
+            continue
         found = false = held = counted = 0
         for seed in range(worlds):
             joint = explain(world(off, np.random.default_rng([k, seed]))).joint
@@ -101,6 +111,25 @@ def main() -> None:
                 held += one.low[at] <= value <= one.high[at]
         share = f"{100 * held / counted:.0f} % of {counted}" if counted else "-"
         print(f"{kind}: {found} of {worlds}; {false} of {worlds}; {share}", flush=True)
+
+
+def held_back(worlds: int, kinds: list[str]) -> None:
+    """How many values of the last 4 of 12 dates lie in the 90 % intervals that the first 8 foretell."""
+    since = np.datetime64("2024-01-01", "us") + np.timedelta64(DAYS[8], "D")
+    print("kind: later values inside, and width; by a level of each reflector and pass alone")
+    for k, (kind, (off, _)) in enumerate(KINDS.items()):
+        if kind not in kinds:
+            continue
+        values = []
+        for seed in range(worlds):
+            made = world(off, np.random.default_rng([k, seed, 1]))
+            values += list(forecast(made, since, explain([one for one in made if one.date < since])).values)
+        words = []
+        for of in ("", "level_"):
+            inside = 100 * np.mean([getattr(one, f"{of}inside") for one in values])
+            width = np.mean([getattr(one, f"{of}high_dbsm") - getattr(one, f"{of}low_dbsm") for one in values])
+            words.append(f"{inside:.1f} % of {len(values)}, {width:.2f} dB")
+        print(f"{kind}: {'; '.join(words)}", flush=True)
 
 
 def _tied_to(stands: tuple, name: str, truth: dict[str, tuple[str, float]]) -> bool:

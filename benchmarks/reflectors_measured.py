@@ -24,6 +24,7 @@ from warpsar.calibration.attitude import Facing, trihedral_rcs_m2
 from warpsar.calibration.differences import Differences, bad_dates
 from warpsar.calibration.engine import engine_rcs_m2
 from warpsar.calibration.explain import Explanation, explain
+from warpsar.calibration.forecast import forecast
 from warpsar.calibration.measure import ReflectorObservation
 from warpsar.calibration.point import PointMeasurement, ResponseAxis, interval
 from warpsar.calibration.sites import ReflectorSite
@@ -217,6 +218,9 @@ def gecoris() -> None:
     early = sorted({one.date for one in observations})
     print(f"{len(early)} dates from {str(early[0])[:10]} to {str(early[-1])[:10]}")
     bad_later(Differences.of(observations))
+    border = early[int(np.ceil(2 / 3 * len(early)))].astype("datetime64[D]").astype("datetime64[us]")
+    held = forecast(observations, border, explain([one for one in observations if one.date < border]))
+    print("\n".join(held.words))
 
 
 def bad_later(data: Differences) -> None:

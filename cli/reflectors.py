@@ -53,6 +53,11 @@ from warpsar.formats import registry
 )
 @click.option("--closed-form", is_flag=True, help="Predict by the closed form alone, without rays.")
 @click.option(
+    "--hold-back",
+    metavar="DATE",
+    help="Dates from this one on decide nothing: the earlier ones foretell their RCS. Such as 2024-06-01.",
+)
+@click.option(
     "--format",
     "file_format",
     type=click.Choice(["auto", *registry.names()]),
@@ -70,6 +75,7 @@ def command(
     allowance: tuple[float, float],
     window: float,
     closed_form: bool,
+    hold_back: str | None,
     file_format: str,
     device: str | None,
 ) -> None:
@@ -87,6 +93,7 @@ def command(
     words += ["--radiometry", radiometry] if radiometry else []
     words += ["--allowance", *(f"{each:g}" for each in allowance), "--window", f"{window:g}"]
     words += ["--closed-form"] if closed_form else []
+    words += ["--hold-back", hold_back] if hold_back else []
     run(
         products,
         sites,
@@ -96,6 +103,7 @@ def command(
         allowance_m=allowance,
         window_cells=window,
         engine=not closed_form,
+        hold_back=hold_back,
         file_format=file_format,
         device=device,
         command=words,

@@ -105,6 +105,26 @@ def utc(seconds: float) -> str:
     return str(np.datetime64(f"{DAY}T12:00:00", "ns") + np.timedelta64(round(seconds * 1e9), "ns"))[:26]
 
 
+def ground_range(near_m: float, band: Band) -> tuple[F64, F64]:
+    """Slant range of ground range, from pixel 0 on, and the inverse, as polynomials: a sphere's law of cosines."""
+    earth = float(np.linalg.norm(earth_fixed(SITE)))
+    ground = np.linspace(0.0, band.pixels * band.step_m, 50)
+    first = np.arccos((earth**2 + RADIUS**2 - near_m**2) / (2.0 * earth * RADIUS))
+    slant = np.sqrt(earth**2 + RADIUS**2 - 2.0 * earth * RADIUS * np.cos(first + ground / earth))
+    fit = np.polynomial.Polynomial.fit
+    return fit(ground, slant, 4).convert().coef, fit(slant - near_m, ground, 4).convert().coef
+
+
+def ground_near(band: Band) -> float:
+    """Slant range of pixel 0, where pixels lie on the ground and the site is at the centre."""
+    distance, near = nearest(SITE)[1], band.start()[1]
+    for _ in range(8):
+        near += distance - float(
+            np.polynomial.polynomial.polyval(band.centre[1] * band.step_m, ground_range(near, band)[0])
+        )
+    return near
+
+
 STATE_TIMES = np.arange(-70.0, 71.0, 10.0)
 
 
@@ -118,16 +138,21 @@ def write_safe(
     calibration: bool = True,
     orbit: bool = True,
     day: str = DAY,
+    ground: bool = False,
 ) -> Path:
-    """A SAFE folder of a strip-map SLC, int16: digital numbers are `image` times `beta_lut`."""
+    """A SAFE folder of a strip-map SLC, int16: digital numbers are `image` times `beta_lut`.
+
+    `ground`: a GRD instead, uint16, whose `image` has pixels of `Band.step_m` on the ground (`ground_range`).
+    """
     import rasterio
 
     band = band or Band()
     start, near = band.start()
-    safe = folder / f"S1A_S3_SLC__1SSV_{day.replace('-', '')}T115959.SAFE"
+    kind = "GRD" if ground else "SLC"
+    safe = folder / f"S1A_S3_{kind}__1SSV_{day.replace('-', '')}T115959.SAFE"
     (safe / "annotation" / "calibration").mkdir(parents=True)
     (safe / "measurement").mkdir()
-    stem = f"s1a-s3-slc-vv-{day.replace('-', '')}t115959-001"
+    stem = f"s1a-s3-{kind.lower()}-vv-{day.replace('-', '')}t115959-001"
     vectors = "".join(
         f"<orbit><time>{utc(t)}</time><frame>Earth Fixed</frame>"
         + "".join(
@@ -138,7 +163,7 @@ def write_safe(
         for t in STATE_TIMES
     )
     header = (
-        "<adsHeader><missionId>S1A</missionId><productType>SLC</productType><polarisation>VV</polarisation>"
+        f"<adsHeader><missionId>S1A</missionId><productType>{kind}</productType><polarisation>VV</polarisation>"
         f"<mode>SM</mode><swath>S3</swath><startTime>{utc(start)}</startTime></adsHeader>"
     )
     processing = "".join(
@@ -146,16 +171,28 @@ def write_safe(
         f"<lookBandwidth>{value}</lookBandwidth></{axis}Processing>"
         for axis, value in (("range", band.range_hz), ("azimuth", band.azimuth_hz))
     )
+    projection, conversion = "Slant Range", ""
+    if ground:
+        projection, near = "Ground Range", ground_near(band)
+        to_slant, to_ground = (" ".join(f"{c:.17e}" for c in each) for each in ground_range(near, band))
+        conversion = (
+            f"<coordinateConversion><coordinateConversionList><coordinateConversion><azimuthTime>{utc(start)}"
+            f"</azimuthTime><sr0>{near:.9f}</sr0><srgrCoefficients>{to_ground}</srgrCoefficients><gr0>0</gr0>"
+            f"<grsrCoefficients>{to_slant}</grsrCoefficients></coordinateConversion></coordinateConversionList>"
+            "</coordinateConversion>"
+        )
     text = (
-        f"<product>{header}<generalAnnotation><productInformation><projection>Slant Range</projection>"
+        f"<product>{header}<generalAnnotation><productInformation><projection>{projection}</projection>"
         f"<rangeSamplingRate>{C / 2 / band.step_m:.12g}</rangeSamplingRate>"
         f"<radarFrequency>{band.frequency_hz}</radarFrequency></productInformation>"
         f"<orbitList>{vectors if orbit else ''}</orbitList></generalAnnotation>"
         f"<imageAnnotation><imageInformation><productFirstLineUtcTime>{utc(start)}</productFirstLineUtcTime>"
         f"<slantRangeTime>{2 * near / C:.18e}</slantRangeTime><azimuthTimeInterval>{band.line_s}</azimuthTimeInterval>"
+        f"<rangePixelSpacing>{band.step_m}</rangePixelSpacing>"
         f"<numberOfSamples>{band.pixels}</numberOfSamples><numberOfLines>{band.lines}</numberOfLines>"
         f"</imageInformation><processingInformation><swathProcParamsList><swathProcParams>{processing}"
-        "</swathProcParams></swathProcParamsList></processingInformation></imageAnnotation></product>"
+        "</swathProcParams></swathProcParamsList></processingInformation></imageAnnotation>"
+        f"{conversion}</product>"
     )
     (safe / "annotation" / f"{stem}.xml").write_text(text.replace(DAY, day))
     (safe / "manifest.safe").write_text('<xfdu:XFDU xmlns:xfdu="urn:ccsds:schema:xfdu:1"></xfdu:XFDU>')
@@ -175,7 +212,7 @@ def write_safe(
             "</noiseRangeVectorList><noiseAzimuthVectorList><noiseAzimuthVector><line>0</line>"
             "<noiseAzimuthLut>1.5</noiseAzimuthLut></noiseAzimuthVector></noiseAzimuthVectorList></noise>"
         )
-    scaled = np.round(image * beta_lut)
+    scaled = np.abs(np.round(image * beta_lut)) if ground else np.round(image * beta_lut)
     with rasterio.open(
         safe / "measurement" / f"{stem}.tiff",
         "w",
@@ -183,9 +220,9 @@ def write_safe(
         width=band.pixels,
         height=band.lines,
         count=1,
-        dtype="complex_int16",
+        dtype="uint16" if ground else "complex_int16",
     ) as file:
-        file.write(scaled.astype(np.complex64), 1)
+        file.write(scaled.astype(np.uint16 if ground else np.complex64), 1)
     return safe
 
 

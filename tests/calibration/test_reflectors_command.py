@@ -5,12 +5,14 @@ from __future__ import annotations
 import csv
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from product_files import SITE, nearest, write_safe
+from product_files import SITE, Band, ground_near, ground_range, nearest, write_safe
+from sicd_files import write_rgzero
 from stacks import gamma_image, image, safe_stack
 
 import warpsar
@@ -153,7 +155,7 @@ def test_products_that_cannot_be_opened_are_named(tmp_path: Path) -> None:
 
 
 def test_products_on_another_grid_are_refused_with_the_reason(tmp_path: Path) -> None:
-    """SICD, and GAMMA's ground range: one line each, and the others go on."""
+    """A broken SICD, and GAMMA's ground range: one line each, and the others go on."""
     (good,) = safe_stack(tmp_path, [36.0])
     sicd, ground = tmp_path / "a.nitf", gamma_image(tmp_path, 36.0, 51.4691)
     sicd.write_bytes(b"NITF02.10" + bytes(400))
@@ -161,7 +163,7 @@ def test_products_on_another_grid_are_refused_with_the_reason(tmp_path: Path) ->
     par.write_text(par.read_text().replace("SLANT_RANGE", "GROUND_RANGE"))
     result = warpsar.reflectors([sicd, ground, good], sites(tmp_path), engine=False)
     assert [one.status for one in result.observations] == ["measured"]
-    assert "found SICD, which states an aperture" in result.refused[0]
+    assert "SICD file" in result.refused[0]
     assert "found GROUND_RANGE; must be SLANT_RANGE: the file's polynomials" in result.refused[1]
     assert not any("\n" in words for words in result.refused)
 
@@ -199,3 +201,97 @@ def test_a_reflector_near_the_edge(tmp_path: Path) -> None:
     line = f"E,{edge[0]:.9f},{edge[1]:.9f},250,,,,"
     (one,) = warpsar.reflectors(product, sites(tmp_path, line), engine=False).observations
     assert one.status == "too near the edge"
+
+
+def test_a_reflector_in_a_sicd(tmp_path: Path) -> None:
+    """36 dBsm; numbers are beta0's over 4, which the header's factor says."""
+    path = write_rgzero(tmp_path, image([(*Band().centre, 36.0)], 0) / 2.0, beta_factor=4.0)
+    table = tmp_path / "sites.csv"
+    table.write_text(f"id,latitude_deg,longitude_deg,height_m\nCR1,{SITE[0]},{SITE[1]},{SITE[2]}\n")
+    (one,) = warpsar.reflectors(path, table, engine=False).observations
+    assert one.status == "measured", one.reason
+    assert one.point is not None
+    assert one.difference_sd_db is None or one.difference_sd_db < 0.5
+    assert 10 * np.log10(one.point.rcs_m2) == pytest.approx(36.0, abs=0.7)
+    assert (one.point.line, one.point.pixel) == pytest.approx(Band().centre, abs=0.15)
+    assert one.noise_db == pytest.approx(10 * np.log10(0.01 * 4.0), abs=1e-6)
+
+
+def test_a_reflector_in_a_grd(tmp_path: Path) -> None:
+    """Detected, in ground range, with calibration and noise: a pixel is shorter on the slant plane."""
+    band = Band(range_hz=30e6, azimuth_hz=240.0)
+    slope = np.polynomial.polynomial.polyder(ground_range(ground_near(band), band)[0])
+    slant_m = band.step_m * float(np.polynomial.polynomial.polyval(band.centre[1] * band.step_m, slope))
+    assert slant_m == pytest.approx(band.step_m * np.sin(np.deg2rad(51.47)), rel=0.01)
+    made = image([(*band.centre, 36.0)], 0, replace(band, step_m=slant_m))
+    path = write_safe(tmp_path, made, band, beta_lut=300.0, ground=True)
+    (one,) = warpsar.reflectors(path, sites(tmp_path), engine=False).observations
+    assert one.status == "measured", one.reason
+    assert one.point is not None
+    assert one.expected is not None
+    assert (one.expected.line, one.expected.pixel) == pytest.approx(band.centre, abs=1e-3)
+    assert (one.point.line, one.point.pixel) == pytest.approx(band.centre, abs=0.3)
+    assert one.spacing_m is not None
+    assert one.spacing_m[1] == pytest.approx(slant_m, rel=1e-3)
+    assert one.difference_sd_db is not None
+    assert 10 * np.log10(one.point.rcs_m2) == pytest.approx(36.0, abs=3 * one.difference_sd_db)
+    assert one.noise_db == pytest.approx(10 * np.log10(6.0 / 300.0**2), abs=1e-6)
+
+
+@pytest.mark.full
+def test_later_dates_are_held_back(tmp_path: Path) -> None:
+    """Eight dates of 36 dBsm, of which the last, of 30, decides nothing; its value lies outside what was foretold."""
+    safe_stack(tmp_path, [36.0] * 7 + [30.0])
+    products = sorted(map(str, tmp_path.glob("*.SAFE")))
+    out = tmp_path / "out"
+    words = ["reflectors", *products, "--sites", str(sites(tmp_path)), "-o", str(out), "--closed-form", "--hold-back"]
+    for wrong, said in (("soon", "must be a date"), ("2020-01-01", "must be after 2024-03-05")):
+        run = CliRunner().invoke(main, [*words, wrong])
+        assert (run.exit_code, said in run.output, out.exists()) == (2, True, False)
+    run = CliRunner().invoke(main, [*words, "2024-05-10"])
+    assert run.exit_code == 0, run.output
+    found = json.loads((out / "reflectors.json").read_text())
+    assert found["held_back"]["since"] == "2024-05-10"
+    assert [one["inside"] for one in found["held_back"]["values"]] == [True, False]
+    assert found["explanation"]["values"] == 6
+    assert found["explanation"]["bad_dates"] == []
+    assert "Held back: dates from 2024-05-10 on" in (out / "report.html").read_text()
+
+
+def test_two_reflectors_in_one_window_are_not_told_apart(tmp_path: Path) -> None:
+    """Three pixels apart, 2.4 cells: neither has an RCS; 12 pixels apart both look at the brighter one's peak."""
+    line, pixel = Band().centre
+    path = write_safe(tmp_path, image([(line, pixel, 36.0), (line, pixel + 5, 33.0)], 9), beta_lut=300.0)
+    product = sentinel1.products(path, None)[0]
+
+    def statuses(pixels: float, allowance: float) -> list[tuple[str, str]]:
+        other = product.to_ground(line, pixel + pixels, SITE[2])
+        near = f"CR2,{other[0]:.9f},{other[1]:.9f},{SITE[2]},,,,"
+        table = sites(tmp_path, f"CR1,{PLACE},262,3.3,triangular,1.0", near)
+        found = warpsar.reflectors(product, table, engine=False, allowance_m=(15.0, allowance)).observations
+        return [(one.status, one.reason) for one in found]
+
+    first, second = statuses(3.0, 5.0)
+    assert first[0] == second[0] == "not apart"
+    assert "CR2 is expected 0.0 cells away in azimuth and 2.4 in slant range" in first[1]
+    first, second = statuses(5.0, 15.0)
+    assert (first[0], second[0]) == ("measured", "not apart")
+    assert "its brightest point is CR1's" in second[1]
+    assert [status for status, _ in statuses(5.0, 5.0)] == ["measured", "measured"]
+
+
+def test_a_product_that_is_named_twice_is_one(tmp_path: Path) -> None:
+    (path,) = safe_stack(tmp_path, [36.0])
+    result = warpsar.reflectors([path, path / "manifest.safe"], sites(tmp_path), engine=False)
+    assert len(result.observations) == 1
+    assert "named twice" in result.refused[0]
+
+
+def test_a_reflector_that_faces_away_is_named(tmp_path: Path) -> None:
+    """Its azimuth counted from another direction: measured, not predicted, and one line says why."""
+    (path,) = safe_stack(tmp_path, [36.0])
+    result = warpsar.reflectors(path, sites(tmp_path, f"CR1,{PLACE},82,3.3,triangular,1.0"), engine=False)
+    assert result.observations[0].predicted_m2 in (None, 0.0)
+    (said,) = [words for words in result.explanation.words if "CR1" in words]
+    assert "the radar stands at 2" in said
+    assert "azimuth 82" in said

@@ -10,6 +10,7 @@ differences.py  measured less predicted, of all reflectors and dates
 causes.py       what may have caused it
 joint.py        causes fitted together: what earlier dates need and later ones confirm
 turns.py        all attitudes that fit
+forecast.py     later dates foretold from earlier ones
 explain.py      the causes alone and together, and what is tied
 places.py       what may move places
 geolocation.py  how far reflectors lie off orbit and survey

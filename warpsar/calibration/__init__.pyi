@@ -1,6 +1,7 @@
 from .attitude import Facing as Facing
 from .command import ReflectorResult as ReflectorResult
 from .explain import Explanation as Explanation
+from .forecast import Forecast as Forecast
 from .geolocation import Geolocation as Geolocation
 from .joint import JointFit as JointFit
 from .measure import ReflectorObservation as ReflectorObservation
@@ -13,6 +14,7 @@ __all__ = [
     "AttitudeSolution",
     "Explanation",
     "Facing",
+    "Forecast",
     "FoundPlace",
     "Geolocation",
     "JointFit",

@@ -78,10 +78,23 @@ def causes(data: Differences) -> list[Cause]:
         here = data.site == i
         if not here.any():
             continue
-        found += [_loss(i, name), _size(i, name, data), _attitude(i, name, data)]
-        if np.ptp(data.years[here]) > LEAST_SPAN_YEARS and here.sum() > 4:
-            found += [_decay(i, name, data), _step(i, name, data)]
+        found += [_loss(i, name), _size(i, name, data), _attitude(i, name, data), *_over_time(i, name, data)]
     return found
+
+
+def changes(data: Differences) -> list[Cause]:
+    """Those that need no prediction: levels, and what changes them with time."""
+    found = [_levels(data)]
+    for i, name in enumerate(data.names):
+        found += _over_time(i, name, data)
+    return found
+
+
+def _over_time(i: int, name: str, data: Differences) -> list[Cause]:
+    here = data.site == i
+    if here.sum() <= 4 or np.ptp(data.years[here]) <= LEAST_SPAN_YEARS:
+        return []
+    return [_decay(i, name, data), _step(i, name, data)]
 
 
 def _none() -> Cause:

@@ -15,8 +15,9 @@ import numpy as np
 from warpsar.calibration import sites as site_tables
 from warpsar.calibration.engine import engine_rcs_m2
 from warpsar.calibration.explain import Explanation, explain
+from warpsar.calibration.forecast import Forecast, forecast
 from warpsar.calibration.geolocation import Geolocation, geolocation
-from warpsar.calibration.measure import ReflectorObservation, observe
+from warpsar.calibration.measure import ReflectorObservation, observe, told_apart
 from warpsar.calibration.point import PointSettings
 from warpsar.calibration.presence import FoundPlace, Presence, find_place, presences, settled, standing
 from warpsar.calibration.report import write_report
@@ -50,6 +51,8 @@ class ReflectorResult:
     """Reflectors whose place was not known."""
     presence: tuple[Presence, ...] = ()
     """When reflectors came, went, or moved."""
+    held_back: Forecast | None = None
+    """Later values that the earlier dates foretell, where later dates were held back."""
 
     def rows(self) -> list[dict[str, Any]]:
         """The table, by the names of the columns of reflectors.csv."""
@@ -65,6 +68,7 @@ def reflectors(
     allowance_m: tuple[float, float] = ALLOWANCE_M,
     window_cells: float = PointSettings.window_cells,
     engine: bool = True,
+    hold_back: str | np.datetime64 | None = None,
     file_format: str = "auto",
     device: str | None = None,
 ) -> ReflectorResult:
@@ -74,7 +78,9 @@ def reflectors(
     `polarization` the co-polarized images are taken. `radiometry` says what power is where a product does not:
     "beta0", "sigma0" or "gamma0". `allowance_m`: how far off a reflector may be, in azimuth and slant range.
     `window_cells`: half of the window that is integrated, in resolution cells. `engine`: predict by rays, else in
-    closed form alone. Raises InputError for a table of sites that cannot be read, and where no product can be opened.
+    closed form alone. `hold_back`: dates from this one on are measured, and decide nothing: places, set-up dates and
+    causes are found from earlier dates, which then foretell the later RCS. Raises InputError for a table of sites that
+    cannot be read, and where no product can be opened.
     """
     _refuse(polarization, radiometry, allowance_m, window_cells)
     given = [products] if isinstance(products, Product | PathLike | str) else list(products)
@@ -82,22 +88,54 @@ def reflectors(
     opened, refused = _opened(given, polarization, file_format)
     settings = PointSettings(window_cells=window_cells)
     found: list[ReflectorObservation] = []
-    table, places, lost = _placed(opened, table, allowance_m, settings, radiometry)
+    since = _first_held_back(hold_back, opened)
+    earlier = [one for one in opened if since is None or one.date(one.grid.middle_s) < since]
+    table, places, lost = _placed(earlier, table, allowance_m, settings, radiometry)
     bar = console.progress(len(opened), "reflectors", "product")
     for product in opened:
         date = product.date(product.grid.middle_s)
-        found += [observe(product, site, allowance_m, settings, radiometry) for site in sites_at(table, date)]
+        seen = [observe(product, site, allowance_m, settings, radiometry) for site in sites_at(table, date)]
+        found += told_apart(seen, settings)
         bar.update()
     bar.close()
     found = _without_other_swaths(found)
-    presence = presences(found)
+    presence = presences(_before(found, since))
     found = standing(found, presence)
     if engine:
         found = _predicted(found, {one.source: one.frequency_hz for one in opened}, device)
     found.sort(key=lambda one: (one.site.name, one.date, one.polarization or ""))
+    early = _before(found, since)
+    explanation = explain(early)
     return ReflectorResult(
-        tuple(found), explain(found), geolocation(found), (*refused, *lost), tuple(places), tuple(presence)
+        tuple(found),
+        explanation,
+        geolocation(early),
+        (*refused, *lost),
+        tuple(places),
+        tuple(presence),
+        None if since is None else forecast(found, since, explanation),
     )
+
+
+def _first_held_back(given: str | np.datetime64 | None, opened: Sequence[Product]) -> np.datetime64 | None:
+    """The day. Raises InputError for what is none, and where it leaves no dates before it, or holds none back."""
+    if given is None:
+        return None
+    dates = sorted(one.date(one.grid.middle_s) for one in opened)
+    try:
+        since = np.datetime64(str(given)).astype("datetime64[D]").astype("datetime64[us]")
+    except ValueError:
+        raise InputError(f"hold_back: found {str(given)[:40]!r}; must be a date like 2024-06-01") from None
+    if not dates[0] < since <= dates[-1]:
+        raise InputError(
+            f"hold_back: found {str(since)[:10]}; must be after {str(dates[0])[:10]}, the first date of the products, "
+            f"and not after {str(dates[-1])[:10]}, the last one"
+        )
+    return since
+
+
+def _before(found: Sequence[ReflectorObservation], since: np.datetime64 | None) -> list[ReflectorObservation]:
+    return [one for one in found if since is None or one.date < since]
 
 
 def _placed(
@@ -156,7 +194,11 @@ def _opened(
         chosen = [p for p in several if polarization or p.polarization is None or p.polarization in CO_POLARIZED]
         if not chosen:
             refused.append(f"{one}: found no co-polarized image; must be HH or VV, or name it with --polarization")
-        opened += chosen
+        for each in chosen:
+            if (each.source, each.polarization) in {(p.source, p.polarization) for p in opened}:
+                refused.append(f"{each.source}: named twice; it is taken once")
+            else:
+                opened.append(each)
     if not opened:
         raise InputError("\n  ".join(["no product can be measured:", *refused]) if refused else "no product given")
     return opened, refused
@@ -211,6 +253,7 @@ def run(
     allowance_m: tuple[float, float] = ALLOWANCE_M,
     window_cells: float = PointSettings.window_cells,
     engine: bool = True,
+    hold_back: str | None = None,
     file_format: str = "auto",
     device: str | None = None,
     command: Sequence[str] = (),
@@ -227,6 +270,7 @@ def run(
         allowance_m=allowance_m,
         window_cells=window_cells,
         engine=engine,
+        hold_back=hold_back,
         file_format=file_format,
         device=device,
     )
@@ -247,6 +291,7 @@ def run(
         "presence": [one.content() for one in result.presence],
         "explanation": result.explanation.content(),
         "geolocation": None if result.geolocation is None else result.geolocation.content(),
+        "held_back": None if result.held_back is None else result.held_back.content(),
         "settings": {
             "window_cells": window_cells,
             "guard_cells": PointSettings.guard_cells,
@@ -258,12 +303,16 @@ def run(
         },
     }
     content = write_json(out / "reflectors.json", None, where, None, started, content)
-    write_report(out / "report.html", result.observations, result.explanation, result.geolocation, content, command)
+    write_report(
+        out / "report.html", result.observations, result.explanation, result.geolocation, content, command,
+        held_back=result.held_back,
+    )  # fmt: skip
     console.say_written(out, "report.html", "reflectors.csv", "reflectors.json", "sites_isce3.csv")
     counted = [one.status == "measured" for one in result.observations]
     measured = f"{int(np.sum(counted))} of {len(counted)} reflectors measured"
     said = [one.words for one in result.found] + [one.words for one in result.presence]
-    print("\n".join([measured, *said, *result.explanation.words]))
+    foretold = () if result.held_back is None else result.held_back.words
+    print("\n".join([measured, *said, *result.explanation.words, *foretold]))
     return content
 
 

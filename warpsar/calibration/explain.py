@@ -14,12 +14,10 @@ from warpsar.calibration.differences import BadDate, Differences, absent, bad_da
 from warpsar.calibration.joint import (
     ALIKE,
     CONFIDENCE,
-    CauseFit,
-    CauseModel,
     JointFit,
     Trials,
     by_image,
-    fit_model,
+    fits_alone,
     halves,
     joint,
     together_words,
@@ -118,7 +116,7 @@ def explain(observations: Sequence[ReflectorObservation]) -> Explanation:
     all_of_them, missing = Differences.of(observations), absent(observations)
     if len(all_of_them) < 1:
         nothing = "Nothing can be explained: no reflector is measured and predicted."
-        return Explanation((), (), tuple(missing), (nothing,), 0)
+        return Explanation((), (), tuple(missing), (nothing, *_turned_away(observations)), 0)
     bad, good = bad_dates(all_of_them)
     bad = sorted([*missing, *bad], key=lambda one: (one.site, one.date))
     data = all_of_them.part(good)
@@ -128,19 +126,34 @@ def explain(observations: Sequence[ReflectorObservation]) -> Explanation:
     tied = _ties(fitted, data)
     found = joint(data, causes, _situations(data), trials)
     attitudes = attitude_solutions(found, data)
-    words = _words(fitted, tied, bad, data, found, attitudes)
+    words = _words(fitted, tied, bad, data, found, attitudes) + _turned_away(observations)
     return Explanation(tuple(fitted), tuple(tied), tuple(bad), tuple(words), len(data), data, found, tuple(attitudes))
+
+
+def _turned_away(observations: Sequence[ReflectorObservation]) -> list[str]:
+    """A line for each reflector that is measured while its stated attitude hides its inside from the radar."""
+    said: dict[str, str] = {}
+    for one in observations:
+        if one.status != "measured" or one.facing is None or one.expected is None or one.predicted_m2:
+            continue
+        said.setdefault(
+            one.site.name,
+            f"{one.site.name} is measured and not predicted: by its table it faces azimuth {one.facing.azimuth_deg:g} "
+            f"degrees, clockwise from north, while the radar stands at {one.expected.azimuth_deg:.0f} and sees no "
+            "inside. From where does that azimuth count?",
+        )
+    return list(said.values())
 
 
 def alone(every: Trials, early: Trials | None, late: Differences | None) -> list[FittedCause]:
     """Each cause by itself at its best, the most likely one first; and how likely it makes the later dates."""
     later: dict[str, float] = {}
     if early is not None and late is not None:
-        for name, fit in _fits(early).items():
+        for name, fit in fits_alone(early).items():
             later[name] = float(by_image(fit, late).sum()) / len(late) - 0.5 * float(np.log(2.0 * np.pi))
     z = float(norm.ppf(0.5 + 0.5 * CONFIDENCE))
     found = []
-    for name, fit in _fits(every).items():
+    for name, fit in fits_alone(every).items():
         (cause,), (x,) = fit.model.causes, fit.values
         (error,) = fit.model.full(np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)))
         reach = np.where(fit.model.fixed[0], 0.0, z * error)
@@ -151,17 +164,6 @@ def alone(every: Trials, early: Trials | None, late: Differences | None) -> list
             )
         )
     return sorted(found, key=lambda one: one.bic)
-
-
-def _fits(trials: Trials) -> dict[str, CauseFit]:
-    """Of each cause alone."""
-    data, bare = trials.data, fit_model(CauseModel(()), trials.data)
-    found = {}
-    for cause in trials.rivals + trials.causes:
-        started = trials.best(bare.model, bare.free, bare.scatter, [cause])
-        model, start = started[0][1:] if started else (CauseModel((cause,)), None)
-        found[cause.name] = fit_model(model, data, bare.scatter, start)
-    return found
 
 
 # ---- what is tied ----

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpsar.calibration.explain import Explanation
+from warpsar.calibration.forecast import Forecast
 from warpsar.calibration.measure import ReflectorObservation
 from warpsar.calibration.table import decibel
 from warpsar.io import figures
@@ -70,10 +71,20 @@ def passes(observations: Sequence[ReflectorObservation]) -> dict[str, list[Refle
     return found
 
 
-def series_figure(observations: Sequence[ReflectorObservation], explanation: Explanation) -> Figure:
-    """RCS of one reflector over time with its interval, beside the prediction; bad dates are crossed."""
+def series_figure(
+    observations: Sequence[ReflectorObservation], explanation: Explanation, held_back: Forecast | None = None
+) -> Figure:
+    """RCS of one reflector over time with its interval, beside the prediction; bad dates are crossed.
+
+    What was foretold of dates that were held back is a wide grey bar."""
     bad = {(one.site, one.date) for one in explanation.bad_dates}
     figure, axes = figures.new(6.4, 3.2)
+    names = {one.site.name for one in observations}
+    foretold = [] if held_back is None else [one for one in held_back.values if one.observation.site.name in names]
+    if foretold:
+        date = np.array([one.observation.date for one in foretold]).astype("datetime64[s]").astype(object)
+        low, high = (np.array([getattr(one, f"{end}_dbsm") for one in foretold]) for end in ("low", "high"))
+        axes.vlines(date, low, high, color="0.8", lw=6, label="foretold, 90 %")
     for (name, some), colour in zip(passes(observations).items(), COLOURS * 9, strict=False):
         own = [one for one in some if one.calibrated and one.point is not None]
         for seen, marker in ((True, "o"), (False, "v")):

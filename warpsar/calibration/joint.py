@@ -119,6 +119,11 @@ class CauseFit:
     def values(self) -> list[F64]:
         return self.model.full(self.free)
 
+    def error(self, data: Differences) -> F64:
+        """Standard error of the curve at other values, (n,), by the error of the parameters to first order."""
+        slopes = _slopes(self.model, data, self.free)
+        return np.asarray(np.sqrt(np.maximum(((slopes @ self.covariance) * slopes).sum(axis=1), 0.0)), np.float64)
+
 
 class _Errors:
     """The covariance of the values: diagonal, and a constant within each image."""
@@ -307,6 +312,17 @@ class Trials:
                 found.append((cause.curve(x + step, self.data) - cause.curve(x - step, self.data)) / (2.0 * step[k]))
             self._slopes[cause.name] = np.stack(found, axis=-1)
         return self._slopes[cause.name]
+
+
+def fits_alone(trials: Trials) -> dict[str, CauseFit]:
+    """Of each cause by itself, and of each rival, by name."""
+    data, bare = trials.data, fit_model(CauseModel(()), trials.data)
+    found = {}
+    for cause in trials.rivals + trials.causes:
+        started = trials.best(bare.model, bare.free, bare.scatter, [cause])
+        model, start = started[0][1:] if started else (CauseModel((cause,)), None)
+        found[cause.name] = fit_model(model, data, bare.scatter, start)
+    return found
 
 
 @dataclass(frozen=True)

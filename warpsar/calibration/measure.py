@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -23,10 +24,13 @@ Status = Literal[
     "too near the edge",
     "masked",
     "saturated",
+    "not apart",
     "no calibration",
     "no orbit",
     "no image",
 ]
+CELLS_BESIDE = 1.0
+"""Beyond the window: nearer than this a point has its main lobe in it."""
 FEWEST_PIXELS = 2.0
 """Lines and pixels that are searched, where the allowance is less."""
 
@@ -96,7 +100,7 @@ class ReflectorObservation:
     @property
     def offset_m(self) -> tuple[float, float] | None:
         """Found less expected place, in azimuth and slant range."""
-        if self.status == "not seen" or None in (self.point, self.expected, self.spacing_m):
+        if self.status in ("not seen", "not apart") or None in (self.point, self.expected, self.spacing_m):
             return None
         assert self.point is not None
         assert self.expected is not None
@@ -141,6 +145,57 @@ def observe(
     if product.samples is None:
         return replace(placed, status="no image", reason="annotation alone is there, without an image")
     return _measured(product, placed, expected, allowance_m, settings, radiometry)
+
+
+def told_apart(found: Sequence[ReflectorObservation], settings: PointSettings) -> list[ReflectorObservation]:
+    """Observations of one product, of which those whose window holds another reflector are "not apart".
+
+    So are those whose peak is that of another reflector, which is expected nearer to it.
+    """
+    made = []
+    for one in found:
+        reason = ""
+        for other in found:
+            if other is one or not one.stands or not other.stands or not (one.response and other.response):
+                continue
+            off = _cells(one, other, "expected")
+            if max(off) < settings.window_cells + CELLS_BESIDE:
+                reason = (
+                    f"{other.site.name} is expected {off[0]:.1f} cells away in azimuth and {off[1]:.1f} in slant "
+                    f"range; the window of +- {settings.window_cells:g} cells holds both"
+                )
+            elif max(_cells(one, other, "point")) < 1.0 and _far(one) > _far(other):
+                reason = (
+                    f"its brightest point is {other.site.name}'s, which is expected nearer; allow less than it is away"
+                )
+            if reason:
+                break
+        made.append(replace(one, status="not apart", reason=reason) if reason else one)
+    return made
+
+
+def _cells(one: ReflectorObservation, other: ReflectorObservation, which: Literal["expected", "point"]) -> list[float]:
+    """How far the places of two reflectors lie apart in azimuth and slant range, in resolution cells."""
+    assert one.response is not None
+    assert one.spacing_m is not None
+    first, second = getattr(one, which), getattr(other, which)
+    offsets = first.line - second.line, first.pixel - second.pixel
+    return [
+        abs(steps) * step / max(1.0 / axis.bandwidth, axis.pixel_m)
+        for steps, step, axis in zip(offsets, one.spacing_m, one.response, strict=True)
+    ]
+
+
+def _far(one: ReflectorObservation) -> float:
+    assert one.point is not None
+    assert one.expected is not None
+    assert one.spacing_m is not None
+    return float(
+        np.hypot(
+            (one.point.line - one.expected.line) * one.spacing_m[0],
+            (one.point.pixel - one.expected.pixel) * one.spacing_m[1],
+        )
+    )
 
 
 def _measured(

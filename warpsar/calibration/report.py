@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from warpsar.calibration.explain import Explanation
 from warpsar.calibration.figures import incidence_figure, map_figure, offset_figure, series_figure
+from warpsar.calibration.forecast import Forecast
 from warpsar.calibration.geolocation import Geolocation
 from warpsar.calibration.joint import values_words
 from warpsar.calibration.measure import Cutout, ReflectorObservation
@@ -58,6 +59,7 @@ def write_report(
     content: dict[str, Any],
     command: Sequence[str],
     *,
+    held_back: Forecast | None = None,
     title: str = "Reflectors: measured and predicted",
     beside: str = "reflectors.csv (all columns), reflectors.json, sites_isce3.csv (the table of sites for ISCE3)",
 ) -> None:
@@ -66,8 +68,9 @@ def write_report(
     dates = {str(one.date)[:10] for one in observations}
     lead = f"warpsar reflectors {content['version']}; {len(sites)} reflectors, {len(dates)} dates"
     sections = [
-        _summary(observations, explanation, placed, content),
-        _series(observations, explanation),
+        _summary(observations, explanation, placed, content, held_back),
+        _series(observations, explanation, held_back),
+        _held_back(held_back),
         _together(explanation),
         _causes(explanation),
         _cutouts(observations),
@@ -82,9 +85,11 @@ def _summary(
     explanation: Explanation,
     placed: Geolocation | None,
     content: dict[str, Any],
+    held_back: Forecast | None,
 ) -> str:
     said = [str(one["words"]) for one in (*content.get("found", ()), *content.get("presence", ()))]
-    words = [report.paragraph(each) for each in (*said, *explanation.words)]
+    foretold = () if held_back is None else held_back.words
+    words = [report.paragraph(each) for each in (*said, *explanation.words, *foretold)]
     if placed is not None:
         words.append(report.paragraph(placed.words))
         if placed.moved:
@@ -109,7 +114,7 @@ def _summary(
     )
 
 
-def _series(observations: Sequence[ReflectorObservation], explanation: Explanation) -> str:
+def _series(observations: Sequence[ReflectorObservation], explanation: Explanation, held_back: Forecast | None) -> str:
     by_site: dict[str, list[ReflectorObservation]] = {}
     for one in observations:
         if one.calibrated:
@@ -117,15 +122,45 @@ def _series(observations: Sequence[ReflectorObservation], explanation: Explanati
     if not by_site:
         return ""
     drawn = [
-        report.drawing(series_figure(some, explanation), f"{name}: RCS over time")
+        report.drawing(series_figure(some, explanation, held_back), f"{name}: RCS over time")
         for name, some in list(by_site.items())[:MOST_SITES]
     ]
     said = (
         "Bars are 90 % intervals of clutter and noise. A short line is the prediction for the look of that date. A "
         "cross marks a bad date, a triangle the upper bound where nothing stands out of the clutter."
     )
+    if held_back is not None:
+        said += f" From {held_back.since} on, wide grey bars are what the earlier dates foretell with 90 %."
     return report.section(
         "RCS over time", report.paragraph(said, quiet=True), report.row(*drawn, across=2, least_px=340)
+    )
+
+
+def _held_back(found: Forecast | None) -> str:
+    if found is None or not found.values:
+        return ""
+    said = (
+        "Places, set-up dates, bad dates and causes are found from the earlier dates alone. Causes together, each "
+        "cause alone, and both rivals foretell the later values; they are averaged by their odds. The last two "
+        "columns are the rival's: the mean level of this reflector and pass."
+    )
+    rows = []
+    for one in found.values[:MOST_ROWS]:
+        point, seen = one.observation.point, one.observation.status == "measured"
+        assert point is not None
+        value = f"{10 * np.log10(point.rcs_m2):.2f}" if seen else f"at most {10 * np.log10(point.high_m2):.2f}"
+        rows.append(
+            [
+                one.observation.site.name, str(one.observation.date)[:10], value, f"{one.foretold_dbsm:.2f}",
+                f"{one.low_dbsm:.2f} to {one.high_dbsm:.2f}", "yes" if one.inside else "no",
+                f"{one.level_low_dbsm:.2f} to {one.level_high_dbsm:.2f}", "yes" if one.level_inside else "no",
+            ]
+        )  # fmt: skip
+    columns = [
+        "id", "date", "RCS [dBsm]", "foretold [dBsm]", "90 % interval", "inside", "by a level alone", "inside",
+    ]  # fmt: skip
+    return report.section(
+        f"Held back: dates from {found.since} on", report.paragraph(said, quiet=True), report.table(columns, rows)
     )
 
 

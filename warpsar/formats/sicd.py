@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from warpsar.errors import InputError
 from warpsar.formats.base.acquisition import F64, START, Acquisition, FormedImage
@@ -24,6 +24,9 @@ from warpsar.formats.base.declared import Declared, cells_of, half_power_width
 from warpsar.formats.base.extra import Extra
 from warpsar.formats.base.format import Format, Stated
 from warpsar.io.images import replacing
+from warpsar.products.grid import LineGrid
+from warpsar.products.orbit import Orbit
+from warpsar.products.product import Product
 from warpsar.version import __version__
 from warpsar.world.earth import LocalEarth, ecef_to_geodetic
 from warpsar.world.frame import SPEED_OF_LIGHT
@@ -46,6 +49,12 @@ WINDOWS: dict[str, dict[str, Any]] = {
 """What the standard calls them."""
 _WEIGHTS = 512
 """Of an aperture, as the standard recommends."""
+STRAIGHT = 0.01
+"""Columns by which times of closest approach may leave equal steps."""
+ORBIT_STEP_S = 0.5
+"""Between state vectors that stand for the header's polynomial."""
+WINDOW_MISFIT = 0.05
+"""Of a window's weights over their mean: 5 % change the power of a point by under 0.02 dB."""
 FAINT = 0.02
 """Share of the strongest weight under which pulses do not count for the width of the aperture."""
 _AMPLITUDE_LOOKUP = "AMP8I_PHS8I"
@@ -96,6 +105,123 @@ def read(path: Path, stated: Stated) -> ImageChip:
         gain=header.gain if header.beta0 is not None else None,
         response=header.response,
     )
+
+
+def products(path: Path, polarization: str | None) -> tuple[Product, ...]:
+    """The image of a grid of the type RGZERO: rows are slant range, columns are times of closest approach.
+
+    Its orbit is the header's polynomial of the antenna's place. Raises InputError for other grids, which have no lines
+    of zero Doppler.
+    """
+    import sarkit.sicd as sarkit_sicd
+    from lxml.etree import LxmlError
+
+    with reading(path, "SICD file", LxmlError), path.open("rb") as file:
+        reader = sarkit_sicd.NitfReader(_Guarded(file))
+        _check_pixels(path, reader, sarkit_sicd.PIXEL_TYPES)
+        helper = sarkit_sicd.XmlHelper(reader.metadata.xmltree)
+    with reading(path, "SICD header", LxmlError):
+        header = _Header.read(path, helper)
+        found = _zero_doppler(path, header, helper)
+    if polarization not in (None, header.polarization):
+        raise InputError(f"{path}: found the polarization {header.polarization}; {polarization} was asked for")
+    return (found,)
+
+
+def _zero_doppler(path: Path, header: _Header, helper: sarkit_sicd.XmlHelper) -> Product:
+    def load(name: str) -> Any:
+        return helper.load("./" + "/".join(f"{{*}}{part}" for part in name.split("/")))
+
+    grid, plane = load("Grid/Type"), load("RMA/INCA/TimeCAPoly")
+    if grid != "RGZERO" or plane is None:
+        raise InputError(
+            f"{path}: found SICD with a grid of the type {grid}; must be RGZERO with RMA/INCA, whose lines are of zero "
+            "Doppler (`warpsar import` places the others; the mission's own product has the orbit)"
+        )
+    times, track = np.atleast_1d(np.asarray(plane, np.float64)), np.asarray(load("Position/ARPPoly"), np.float64)
+    range_m, collect = load("RMA/INCA/R_CA_SCP"), np.datetime64(load("Timeline/CollectStart").replace(tzinfo=None))
+    rows, columns = header.shape
+    row_m, column_m = header.spacing_m
+    along = (np.arange(columns) - header.middle[1]) * column_m
+    at = np.polynomial.polynomial.polyval(along, times)
+    straight = np.polynomial.polynomial.polyfit(np.arange(columns, dtype=np.float64), at, 1)
+    bent = float(np.abs(at - np.polynomial.polynomial.polyval(np.arange(columns), straight)).max())
+    if bent > STRAIGHT * abs(straight[1]):
+        raise InputError(
+            f"{path}: RMA/INCA/TimeCAPoly: found times that leave equal steps by {bent / abs(straight[1]):.2g} "
+            f"columns; must be within {STRAIGHT:g}"
+        )
+    lasts = float(load("Timeline/CollectDuration"))
+    ends = min(0.0, float(at.min())) - ORBIT_STEP_S, max(lasts, float(at.max())) + ORBIT_STEP_S
+    when = np.linspace(*ends, max(int(np.ceil((ends[1] - ends[0]) / ORBIT_STEP_S)), 3) + 1)
+    place = np.polynomial.polynomial.polyval(when, track).T
+    speed = np.polynomial.polynomial.polyval(when, np.polynomial.polynomial.polyder(track, axis=0)).T
+    bands = [load(f"Grid/{axis}/ImpRespBW") for axis in ("Row", "Col")]
+    noise = load("Radiometric/NoiseLevel/NoisePoly")
+    if load("Radiometric/NoiseLevel/NoiseLevelType") != "ABSOLUTE":
+        noise = None
+
+    def metres(line: ArrayLike, pixel: ArrayLike) -> tuple[F64, F64]:
+        down, over = np.broadcast_arrays(np.asarray(pixel, np.float64), np.asarray(line, np.float64))
+        return (down - header.middle[0]) * row_m, (over - header.middle[1]) * column_m
+
+    def polynomial(of: Any) -> Callable[[ArrayLike, ArrayLike], F64]:
+        return lambda line, pixel: np.asarray(np.polynomial.polynomial.polyval2d(*metres(line, pixel), np.asarray(of)))
+
+    noise_db = None if noise is None else polynomial(noise)
+    epoch = collect.astype("datetime64[us]")
+    return Product(
+        source=str(path),
+        platform=str(load("CollectionInfo/CollectorName")),
+        epoch=epoch,
+        polarization=header.polarization,
+        frequency_hz=header.frequency_hz,
+        side="left" if load("SCPCOA/SideOfTrack") == "L" else "right",
+        grid=LineGrid(
+            columns, rows, float(straight[0]), float(straight[1]), float(range_m) - header.middle[0] * row_m, row_m
+        ),
+        orbit=Orbit.of(str(path), when, place, speed),
+        samples=_Turned(_Window(path, header.shape, header.lookup)),
+        quantity="complex",
+        radiometry=None if header.beta0 is None else "beta0",
+        gain=None if header.beta0 is None else polynomial(header.beta0),
+        noise=None if noise_db is None else lambda line, pixel: 10.0 ** (noise_db(line, pixel) / 10.0),
+        bandwidth_hz=(bands[0] * SPEED_OF_LIGHT / 2.0, bands[1] * column_m / abs(float(straight[1]))),
+        hamming=(_hamming(path, load, "Row"), _hamming(path, load, "Col")),
+        top=32767.0 if load("ImageData/PixelType") == "RE16I_IM16I" else None,
+    )
+
+
+def _hamming(path: Path, load: Callable[[str], Any], axis: str) -> float:
+    """alpha of the window alpha - (1 - alpha) cos that is the axis's, by least squares. 1 where none is stated."""
+    name, weights = load(f"Grid/{axis}/WgtType/WindowName"), load(f"Grid/{axis}/WgtFunct")
+    if weights is None:
+        known = {None: 1.0, "UNIFORM": 1.0, "HANNING": 0.5, "HAMMING": 0.54}
+        if name not in known:
+            raise InputError(f"{path}: Grid/{axis}: found the window {name} without WgtFunct; must have it")
+        return known[name]
+    values = np.asarray(weights, np.float64) / np.mean(weights)
+    wave = np.cos(2.0 * np.pi * np.linspace(0.0, 1.0, values.size))
+    share = float((wave - wave.mean()) @ (values - 1.0) / ((wave - wave.mean()) @ wave))
+    off = float(np.std(values - share * (wave - wave.mean())))
+    if off > WINDOW_MISFIT:
+        raise InputError(
+            f"{path}: Grid/{axis}/WgtFunct: found the window {name}, which is no alpha - (1 - alpha) cos (it leaves "
+            f"{100 * off:.0f} %); must be within {100 * WINDOW_MISFIT:.0f} %"
+        )
+    # alpha - (1 - alpha) cos over its mean, alpha, has the share -(1 - alpha) / alpha of the cosine.
+    return float(np.clip(1.0 / (1.0 - share), 0.5, 1.0))
+
+
+class _Turned:
+    """Pixels with lines of azimuth first: SICD's rows are range."""
+
+    def __init__(self, window: _Window) -> None:
+        self.window, self.shape, self.dtype = window, window.shape[::-1], window.dtype
+
+    def __getitem__(self, window: tuple[slice, slice]) -> np.ndarray:
+        lines, pixels = (slice(*each.indices(count)[:2]) for each, count in zip(window, self.shape, strict=True))
+        return self.window[pixels, lines].T
 
 
 class _Guarded:
@@ -412,7 +538,6 @@ FORMAT = Format(
     read,
     detect=lambda path, head: head.startswith(b"NITF"),
     write=write,
-    no_products="which states an aperture and its own projection, and no lines of zero Doppler along an orbit "
-    "(`warpsar import` places it; the mission's own product has the orbit)",
+    products=products,
     extra=EXTRA,
 )
