@@ -209,3 +209,15 @@ def test_headings_that_are_all_off_are_found_with_what_they_have_in_common() -> 
         assert one.heading_deg == pytest.approx(25.0, abs=0.5)
         assert one.survey == "site"
         assert one.known_of("heading_deg", (0.0,)) == ((20.0, 1.0),)
+
+
+@pytest.mark.unit
+def test_each_element_may_have_its_own_tolerance() -> None:
+    """A body that stands on known ground is known better in height than on the map."""
+    one = Object(**TABLE, tolerance={"position_m": [0.8, 1.2, 0.02]}, position_m=(1.0, 2.0, 0.0))
+    assert one.known_of("position_m", (1.0, 2.0, 0.0)) == ((1.0, 0.8), (2.0, 1.2), (0.0, 0.02))
+    assert one.pinned().known_of("position_m", (5.0, 5.0, 5.0)) == ((1.0, 0.8), (2.0, 1.2), (0.0, 0.02))
+    with pytest.raises(InputError, match="three of them"):
+        Object(**TABLE, tolerance={"position_m": [0.8, 1.2]})
+    with pytest.raises(InputError, match="above 0"):
+        Object(**TABLE, tolerance={"heading_deg": [1.0, 1.0, 1.0]})

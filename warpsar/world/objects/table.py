@@ -26,6 +26,8 @@ KEYS: dict[str, str] = {
     "side_curvature": "side_curvature",
 }
 """The key of the table that each word of `learn` frees."""
+THREE = ("position_m", "size_m", "scale")
+"""Keys whose elements may have a tolerance each."""
 LIMITS = {"cabin": (0.1, 0.85), "side_curvature": (0.0, 0.5)}
 """Least and largest share that a fit may take."""
 VEHICLES = ("car", "truck")
@@ -123,8 +125,9 @@ class Object(Table):
     tolerance: dict[str, Any] = Field(
         default_factory=dict,
         description='Standard deviation to which a key is known, in the key\'s unit, or relative, such as "5 %"; '
+        "[a, b, c] for each element of position_m, size_m and scale; "
         "{ about = VALUE, sd = ... } where another value is known than the one stated.",
-        examples=[{"position_m": 0.3, "heading_deg": 2.0}],
+        examples=[{"position_m": 0.3, "heading_deg": 2.0}, {"position_m": [0.8, 0.8, 0.02]}],
     )
 
     survey: Annotated[str, Field(pattern=NAME)] | None = Field(
@@ -167,8 +170,10 @@ class Object(Table):
                 raise ValueError(f"{key} has no tolerance; must be of {', '.join(KEYS.values())}")
             sd = _sd_of(given) if not isinstance(given, dict) or set(given) == {"about", "sd"} else given
             text = isinstance(sd, str) and re.fullmatch(r"\s*\d+(\.\d*)?\s*%\s*", sd)
-            if not text and not (_is_number(sd) and 0 < sd < float("inf")):
-                raise ValueError(f'{key} must be a number above 0, in the key\'s own unit, or text such as "5 %"')
+            each_sd = _three(sd) if key in THREE and len(_three(sd)) == 3 else (sd,)
+            if not text and not all(_is_number(one) and 0 < one < float("inf") for one in each_sd):
+                three = ", three of them" if key in THREE else ""
+                raise ValueError(f'{key} must be a number above 0, in the key\'s own unit{three}, or text such as "5 %"')
             about = _three(given["about"]) if isinstance(given, dict) else (0.0,)
             if not all(_is_number(each) and abs(each) <= 1e8 for each in about):
                 raise ValueError(f"{key}.about: found {given['about']!r}; must be numbers as {key} itself takes")
@@ -208,8 +213,8 @@ class Object(Table):
         for key in self.survey_tolerance:
             if self.survey is None and self.poses is None:
                 raise ValueError("found survey_tolerance without survey; the bodies of one survey share its error")
-            if not isinstance(_sd_of(self.tolerance.get(key)), int | float):
-                raise ValueError(f"found survey_tolerance of {key}; must have a tolerance of it, too, as a number")
+            if isinstance(_sd_of(self.tolerance.get(key)), str | None):
+                raise ValueError(f"found survey_tolerance of {key}; must have a tolerance of it, too, in its unit")
 
     def _refuse_sizes(self) -> None:
         if self.size_m is None:
@@ -250,7 +255,9 @@ class Object(Table):
         if isinstance(sd, str):
             share = float(sd.strip().rstrip("%")) / 100.0
             return tuple((float(value), share * abs(value)) for value in about[: len(values)])
-        return tuple((float(value), float("inf") if sd is None else float(sd)) for value in about[: len(values)])
+        sds = _three(float("inf") if sd is None else sd)
+        sds = sds * len(values) if len(sds) == 1 else sds
+        return tuple((float(value), float(one)) for value, one in zip(about[: len(values)], sds, strict=False))
 
     def pinned(self) -> Object:
         """The object with the values that its tolerances are about, which stay when a fit moves the keys' own."""
