@@ -92,7 +92,7 @@ def test_a_line_is_a_body(tmp_path: Path) -> None:
     ],
 )
 def test_what_cannot_be_meant_is_refused_by_line(tmp_path: Path, text: str, told: str) -> None:
-    with pytest.raises(InputError, match="cars.csv") as refused:
+    with pytest.raises(InputError, match=r"cars\.csv") as refused:
         posed(Object(**TABLE), written(tmp_path, text))
     assert told in str(refused.value)
 
@@ -162,7 +162,8 @@ def test_a_shared_error_is_a_gaussian_with_its_covariance() -> None:
 def test_the_common_error_is_told_from_single_ones() -> None:
     """Values that are told well: the mean of what they are off, shrunk by own^2 / n beside common^2."""
     known = headings(6, 1.0, 4.0)
-    x = np.array([(k + 3.0 + off) / (1.0 + k) for k, off in zip(range(6), (0.5, -0.5, 0.2, -0.2, 9.0, 9.0), strict=True)])
+    off = np.array([0.5, -0.5, 0.2, -0.2, 9.0, 9.0])
+    x = (np.arange(6.0) + 3.0 + off) / (1.0 + np.arange(6.0))
     found = survey_errors(Prior(known, 6), x, np.zeros((6, 6)))["cars.heading_deg"]
     assert found["value"] == pytest.approx(3.0 * 16.0 / (16.0 + 1.0 / 4.0))
     assert found["sd"] == pytest.approx(1.0 / np.sqrt(1.0 / 16.0 + 4.0))

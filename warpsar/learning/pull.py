@@ -21,7 +21,8 @@ class Pull:
     `prior` +- `prior_sd` is what the scene knows, `posterior` +- `posterior_sd` what the fit found with it. `pull` is
     (posterior - prior) / prior_sd. `data` +- `data_sd` is what the images, with all other tolerances, say alone, to
     first order. `tension` is (data - prior) / sqrt(data_sd^2 + prior_sd^2): of standard normal distribution where model
-    and tolerance are right. All three are None where the images do not tell them, and for a value whose error others share; `posterior_sd` is None for a scene
+    and tolerance are right. All three are None where the images do not tell them, and for a value whose error others
+    share; `posterior_sd` is None for a scene
     with fields.
     """
 

@@ -173,7 +173,9 @@ class Object(Table):
             each_sd = _three(sd) if key in THREE and len(_three(sd)) == 3 else (sd,)
             if not text and not all(_is_number(one) and 0 < one < float("inf") for one in each_sd):
                 three = ", three of them" if key in THREE else ""
-                raise ValueError(f'{key} must be a number above 0, in the key\'s own unit{three}, or text such as "5 %"')
+                raise ValueError(
+                    f'{key} must be a number above 0, in the key\'s own unit{three}, or text such as "5 %"'
+                )
             about = _three(given["about"]) if isinstance(given, dict) else (0.0,)
             if not all(_is_number(each) and abs(each) <= 1e8 for each in about):
                 raise ValueError(f"{key}.about: found {given['about']!r}; must be numbers as {key} itself takes")
