@@ -34,7 +34,6 @@ MEASURES = {
     "experiments.fields": (*DEFAULT, "data/fields"),
     "gotcha": (*DEFAULT, "data/gotcha"),
     "slicy": (*DEFAULT, "data/slicy"),
-    "btr70": (*DEFAULT, "benchmarks/btr70_model.py", "benchmarks/btr70_train.txt"),
     "hostile": (*DEFAULT, "cli"),
     "forecast": (*DEFAULT, "cli", "data/example"),
     "startup": (*DEFAULT, "cli", "data/example"),

@@ -107,7 +107,7 @@ TAPERS = ("none", "hann", "taylor")
     "--role",
     type=click.Choice(("train", "test")),
     show_default="train",
-    help="What curves of radar cross-section, or the views of a table, are for.",
+    help="What curves of radar cross-section, the view, or the views of a table, are for.",
 )
 @click.option(
     "--train",
@@ -175,8 +175,8 @@ def command(
 
     if (view is None) == (table is None):
         raise click.UsageError("one of --view and --table is needed")
-    if table is None and (role is not None or train is not None or hold_back):
-        raise click.UsageError("--role, --train and --hold-back: of images only with --table")
+    if table is None and (train is not None or hold_back):
+        raise click.UsageError("--train and --hold-back: only with --table")
     if role is not None and (train is not None or hold_back):
         raise click.UsageError("--role, and --train or --hold-back, contradict each other")
     if amplitude and quantity == "power":
@@ -229,6 +229,7 @@ def command(
         radar_at=radar_at,  # type: ignore[arg-type]
         spacing_m=spacing,
         scale=scale,  # type: ignore[arg-type]
+        role=role,  # type: ignore[arg-type]
     )
     for message in done.messages:
         console.say(f"note: {message}")

@@ -107,6 +107,18 @@ class Geometry:
             self.coordinates.append(GeometryCoordinate(parameter, which, start, slope, factor, bounds))
             self.known.append(about_sd)
 
+    def shared(self, c: GeometryCoordinate) -> tuple[str, float] | None:
+        """The error that a number has in common with those of other bodies: its name and its standard deviation.
+
+        A plan that is shifted or turned moves every body of one survey alike.
+        """
+        body = next((one for one in self.scene.objects if one.label == c.body), None)
+        sd = None if body is None else body.survey_tolerance.get(c.parameter.key)
+        if body is None or sd is None:
+            return None
+        element = c.parameter.key if c.index is None else NAMES[c.parameter.key][c.index]
+        return f"{body.survey}.{element}", sd
+
     @property
     def labels(self) -> list[str]:
         return [c.label for c in self.coordinates]

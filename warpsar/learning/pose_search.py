@@ -16,6 +16,7 @@ from warpsar.learning.geometry import GeometryCoordinate, freed, still
 from warpsar.learning.identify import Identified
 from warpsar.learning.pose import Descended, PosedProblem, descend
 from warpsar.learning.pose_pixels import compared
+from warpsar.learning.prior import Known, Prior
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.pull import Pull, pulls
 from warpsar.learning.results import learned_scene
@@ -235,9 +236,10 @@ def summary(problem: PosedProblem, x: np.ndarray, identified: Identified) -> dic
 
 
 def numbers(problem: PosedProblem, x: np.ndarray, identified: Identified) -> dict[str, dict[str, Any]]:
-    """What JSON files say of the views' angles and the pixel spacings that were learned, by dotted name."""
+    """What JSON files say of the views' angles and pixel spacings that were learned, and of errors that the bodies of a
+    survey have in common, by dotted name."""
     sds = identified.sd[problem.size :]
-    return {
+    found = {
         c.label: {
             "value": c.value(float(coordinate)),
             "sd": float(sd * abs(c.per_metre(float(coordinate)))),
@@ -246,6 +248,32 @@ def numbers(problem: PosedProblem, x: np.ndarray, identified: Identified) -> dic
         for c, coordinate, sd in zip(problem.geometry.coordinates, x[problem.size :], sds, strict=True)
         if c.body is None
     }
+    return found | survey_errors(problem.prior, x, identified.covariance)
+
+
+def survey_errors(prior: Prior, x: np.ndarray, covariance: np.ndarray) -> dict[str, dict[str, Any]]:
+    """The error that the bodies of a survey have in common, by "survey.heading_deg": `value` and `sd`, in its `unit`.
+
+    With r the values less what is known, C = own^2 + s^2 11' their prior covariance, and a = s^2 C^-1 1: the error is
+    a'r on average, of variance s^2 - s^2 a'1 about it; r's own uncertainty a' cov(r) a comes on top.
+    """
+    groups: dict[str, list[Known]] = {}
+    for one in prior.known:
+        if one.shared is not None:
+            groups.setdefault(one.shared[0], []).append(one)
+    found = {}
+    for name, members in groups.items():
+        shares = np.array([one.shared[1] for one in members if one.shared is not None])
+        variance = np.diag([one.sd**2 for one in members]) + np.outer(shares, shares) * (1.0 - np.eye(len(members)))
+        weights = np.linalg.solve(variance, shares * shares[0])
+        apart = np.array([float(one.value(float(x[one.at]))) - one.about for one in members])
+        slopes = np.array([float(one.slope(float(x[one.at]))) for one in members])
+        at = [one.at for one in members]
+        of_values = covariance[np.ix_(at, at)] * np.outer(slopes, slopes)
+        own = float(shares[0] ** 2 - weights @ shares * shares[0])
+        sd = float(np.sqrt(max(own, 0.0) + weights @ of_values @ weights))
+        found[name] = {"value": float(weights @ apart), "sd": sd, "unit": members[0].unit}
+    return found
 
 
 def _sd_key(c: GeometryCoordinate) -> str:

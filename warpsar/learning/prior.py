@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,10 @@ from warpsar.learning.geometry import Geometry
 
 @dataclass(frozen=True)
 class Known:
-    """Element `at` of x is known: its `value` is `about` +- `sd`, in `unit`; `slope` is d value / dx at x."""
+    """Element `at` of x is known: its `value` is `about` +- `sd`, in `unit`; `slope` is d value / dx at x.
+
+    `shared`: the name of an error that several elements have in common, and its standard deviation, which `sd` holds.
+    """
 
     label: str
     at: int
@@ -33,6 +37,7 @@ class Known:
     unit: str
     value: Callable[[float], Any]
     slope: Callable[[float], Any]
+    shared: tuple[str, float] | None = None
 
     def deviation(self, x: np.ndarray) -> float:
         """How far the value at x lies from what is known, in standard deviations."""
@@ -40,7 +45,12 @@ class Known:
 
 
 class Prior:
-    """The known elements of an x of `size` elements."""
+    """The known elements of an x of `size` elements.
+
+    Elements that share an error are correlated: with it, of standard deviation s, each is known to
+    sd^2 = own^2 + s^2, and two of them have the covariance s^2. Deviations are then those of independent numbers
+    (`whitening`), so half the sum of their squares stays the prior's negative logarithm.
+    """
 
     def __init__(self, known: Sequence[Known], size: int) -> None:
         self.known, self.size = tuple(known), size
@@ -57,16 +67,29 @@ class Prior:
             size += len(geometry.coordinates)
         return cls(known, size)
 
+    @cached_property
+    def whitening(self) -> np.ndarray | None:
+        """The inverse root of the deviations' correlation, shape (k, k), lower; None where nothing is shared."""
+        names = [None if one.shared is None else one.shared[0] for one in self.known]
+        if not any(names):
+            return None
+        shares = np.array([0.0 if one.shared is None else one.shared[1] / one.sd for one in self.known])
+        same = np.array([[a is not None and a == b for b in names] for a in names])
+        correlation = np.where(same, np.outer(shares, shares), 0.0)
+        np.fill_diagonal(correlation, 1.0)
+        return np.linalg.inv(np.linalg.cholesky(correlation))
+
     def deviations(self, x: np.ndarray | DeviceX) -> np.ndarray:
-        """(value - about) / sd of every known element, shape (k,)."""
-        return np.array([one.deviation(np.asarray(x)) for one in self.known], float)
+        """(value - about) / sd of every known element, shape (k,); independent of each other."""
+        found = np.array([one.deviation(np.asarray(x)) for one in self.known], float)
+        return found if self.whitening is None else self.whitening @ found
 
     def slopes(self, x: np.ndarray | DeviceX) -> np.ndarray:
-        """d deviations / dx, shape (k, p): one element that is not 0 in each row."""
+        """d deviations / dx, shape (k, p)."""
         found = np.zeros((len(self.known), self.size))
         for row, one in zip(found, self.known, strict=True):
             row[one.at] = float(one.slope(float(np.asarray(x)[one.at]))) / one.sd
-        return found
+        return found if self.whitening is None else self.whitening @ found
 
     def value(self, x: np.ndarray | DeviceX) -> float:
         """What the prior adds to the loss: half the squared deviations."""
@@ -93,8 +116,8 @@ class Prior:
     def narrowed(self, moved: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Random moves from x, shape (p,), with those of known elements within their tolerance."""
         found = moved.copy()
-        for one, slope in zip(self.known, self.slopes(x), strict=True):
-            found[one.at] = moved[one.at] / max(1.0, abs(slope[one.at]))
+        for one in self.known:
+            found[one.at] = moved[one.at] / max(1.0, abs(float(one.slope(float(x[one.at])))) / one.sd)
         return found
 
 
@@ -109,7 +132,9 @@ def _of_shading(coordinates: SceneCoordinates) -> Iterator[Known]:
 def _of_geometry(geometry: Geometry, first: int) -> Iterator[Known]:
     for at, (c, (about, sd)) in enumerate(zip(geometry.coordinates, geometry.known, strict=True), first):
         if np.isfinite(sd):
-            yield Known(c.label, at, about, sd, c.parameter.unit, c.value, c.per_metre)
+            shared = geometry.shared(c)
+            whole = sd if shared is None else float(np.hypot(sd, shared[1]))
+            yield Known(c.label, at, about, whole, c.parameter.unit, c.value, c.per_metre, shared)
 
 
 def refuse_prior(prior: Prior, loss: str, where: str) -> None:

@@ -21,7 +21,8 @@ class Pull:
     `prior` +- `prior_sd` is what the scene knows, `posterior` +- `posterior_sd` what the fit found with it. `pull` is
     (posterior - prior) / prior_sd. `data` +- `data_sd` is what the images, with all other tolerances, say alone, to
     first order. `tension` is (data - prior) / sqrt(data_sd^2 + prior_sd^2): of standard normal distribution where model
-    and tolerance are right. All three are None where the images do not tell them; `posterior_sd` is None for a scene
+    and tolerance are right. All three are None where the images do not tell them, and for a value whose error others
+    share; `posterior_sd` is None for a scene
     with fields.
     """
 
@@ -89,6 +90,8 @@ def _pull(problem: FitNumbers, x: np.ndarray, identified: Identified | None, one
     found = Pull(one.label, one.unit, one.about, one.sd, posterior, None, deviation)
     if identified is None:
         return found
+    if one.shared is not None:  # what the images say alone is not to be parted from what its survey says of it
+        return replace(found, posterior_sd=abs(float(one.slope(x[one.at]))) * float(identified.sd[one.at]))
     slope = abs(float(one.slope(x[one.at])))
     found = replace(found, posterior_sd=slope * float(identified.sd[one.at]))
     bend, sd = (slope * value for value in _without_own(problem, identified, one.at, (slope / one.sd) ** 2))

@@ -72,6 +72,7 @@ def import_measured(
     radar_at: RadarAt = "top",
     spacing_m: tuple[float, float] | None = None,
     scale: Scale = "as declared",
+    role: Literal["train", "test"] | None = None,
 ) -> Imported:
     """Bring a measurement onto the slant-plane grid of a view and declare it in the scene file.
 
@@ -84,7 +85,8 @@ def import_measured(
     `origin` (latitude, longitude [deg], height [m]) says where the world lies on the earth, for formats in earth
     coordinates. `Gridding` describes the windows, `subapertures`, `samples` and `surface`. `radar_at` and `spacing_m`
     are for pictures (`registry.read`). `scale` "unknown" writes `calibrated = false`. A picture with a top level gives
-    the view `clipped_at`, and an MSTAR header gives the scene's only object its roll and pitch.
+    the view `clipped_at`, and an MSTAR header gives the scene's only object its roll and pitch. `role` says what the
+    view is for; without it the scene file's word stays.
 
     Raises InputError for files that cannot be read. Also where the scene file contradicts them: angles by more than 0.5
     degrees, frequency or slant range by more than 1 %, or another polarization.
@@ -134,6 +136,7 @@ def import_measured(
         "looks": None if looks is None else round(looks, 2),
         "looks_estimated": None if looks is None else True,
         "clipped_at": clip_level(measured, per_pixel),
+        "role": role,
     }
     with editing(scene_path) as document:
         if origin is not None and "origin" not in document["scene"]:
@@ -318,7 +321,7 @@ def declare(
     exists: bool,
     pol: str,
     image: str,
-    stated: Mapping[str, float | None],
+    stated: Mapping[str, float | str | None],
     slc: Path | None = None,
 ) -> None:
     """The view's image, its complex samples, and what is `stated` of it, in the document of a scene file."""

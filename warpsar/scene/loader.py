@@ -20,6 +20,7 @@ from warpsar.world.library.fill import beyond, named
 from warpsar.world.mesh import Mesh, read_mesh
 from warpsar.world.objects.assembly import Assembly
 from warpsar.world.objects.groups import with_groups
+from warpsar.world.objects.poses import posed
 from warpsar.world.objects.table import Object
 from warpsar.world.sound_objects import doubled
 from warpsar.world.tables import (
@@ -59,7 +60,7 @@ class _Loader:
         mesh_path = None if file.scene.mesh is None else self.absolute(file.scene.mesh)
         mesh = None if mesh_path is None else self.mesh("scene.mesh", mesh_path)
         warned = [] if mesh is None else [f"{mesh_path}: {warning}" for warning in mesh.warnings]
-        objects = [self.object(one) for one in file.objects]
+        objects = [each for index, one in enumerate(file.objects) for each in self.posed(index, self.object(one))]
         assembly = self.assembly(mesh, mesh_path, objects) if objects and not self.problems else None
         mesh = mesh if assembly is None else assembly.mesh(objects)
         views = [self.view(index, view) for index, view in enumerate(file.views)]
@@ -108,6 +109,16 @@ class _Loader:
 
     def object(self, one: Object) -> Object:
         return one if one.mesh is None else one.model_copy(update={"mesh": self.absolute(one.mesh)})
+
+    def posed(self, index: int, one: Object) -> list[Object]:
+        """The object itself, or all that its file of poses places."""
+        if one.poses is None:
+            return [one]
+        try:
+            return posed(one, self.absolute(one.poses))
+        except InputError as error:
+            self.problems += [f"objects[{index}] ({one.label}).poses: {line}" for line in str(error).splitlines()]
+            return []
 
     def assembly(self, mesh: Mesh | None, path: Path | None, objects: list[Object]) -> Assembly | None:
         """The scene's mesh and its objects. The mesh of several objects is read once."""

@@ -96,7 +96,7 @@ def scene_schema() -> _Json:
     one["oneOf"] = [{"required": [key]} for key in ("mesh", "primitive", "group")]
     number: _Json = {"type": "number"}
     about = {"anyOf": [number, {"type": "array", "items": number, "minItems": 3, "maxItems": 3}]}
-    known = {"additionalProperties": _tolerance(about), "propertyNames": {"enum": list(KEYS.values())}}
+    known = {"additionalProperties": _tolerance(about, each=True), "propertyNames": {"enum": list(KEYS.values())}}
     one["properties"]["tolerance"].update(known)
     body = {"contains": {"anyOf": [{"required": ["mesh"]}, {"required": ["primitive"]}]}}
     scene["anyOf"] = [
@@ -192,9 +192,12 @@ def _keyed_by(declared: EffectParameter | Setting) -> str | None:
     return declared.keyed_by if isinstance(declared, EffectParameter) else "view" if declared.per_view else None
 
 
-def _tolerance(about: _Json) -> _Json:
-    """One standard deviation, a share of the value, or either with the value that is known."""
-    sd = [{"type": "number", "exclusiveMinimum": 0.0}, {"type": "string", "pattern": tolerance.SHARE}]
+def _tolerance(about: _Json, *, each: bool = False) -> _Json:
+    """One standard deviation, a share of the value, or either with the value that is known; `each`: or three."""
+    sd: list[_Json] = [{"type": "number", "exclusiveMinimum": 0.0}, {"type": "string", "pattern": tolerance.SHARE}]
+    if each:
+        three: _Json = {"type": "number", "exclusiveMinimum": 0.0}
+        sd.append({"type": "array", "items": three, "minItems": 3, "maxItems": 3})
     pinned = {"about": about, "sd": {"anyOf": sd}}
     table = {"type": "object", "properties": pinned, "required": list(pinned), "additionalProperties": False}
     return {"anyOf": [*sd, table]}

@@ -19,6 +19,9 @@ def doubled(objects: Sequence[Object]) -> list[str]:
     problems = []
     for index, one in enumerate(objects):
         key = f"objects[{index}] ({one.label})"
+        if one.poses is not None:
+            problems.append(f"{key}.poses: found {str(one.poses)!r} in memory; objects.poses.posed gives its bodies")
+            continue
         first = names.setdefault(one.label, index)
         if first != index:
             problems.append(f"{key}.name: found {one.label!r} again; must differ from objects[{first}]'s")

@@ -26,11 +26,16 @@ KEYS: dict[str, str] = {
     "side_curvature": "side_curvature",
 }
 """The key of the table that each word of `learn` frees."""
+THREE = ("position_m", "size_m", "scale")
+"""Keys whose elements may have a tolerance each."""
 LIMITS = {"cabin": (0.1, 0.85), "side_curvature": (0.0, 0.5)}
 """Least and largest share that a fit may take."""
 VEHICLES = ("car", "truck")
 CABIN = {"car": 0.6, "truck": 0.25}
 """Default share of the length that the cabin takes."""
+
+NAME = r"^\w[\w.+-]{0,49}$"
+"""Of an object, and of a survey."""
 
 _Angle = Annotated[Number, Field(ge=-360.0, le=360.0)]
 _Place = Annotated[Number, Field(ge=-1e8, le=1e8)]
@@ -48,7 +53,7 @@ class Object(Table):
     the group stands in the mesh.
     """
 
-    name: Annotated[str, Field(pattern=r"^\w[\w.+-]{0,49}$")] | None = Field(
+    name: Annotated[str, Field(pattern=NAME)] | None = Field(
         default=None,
         description="Name of the object; else the group's, the primitive's, or that of the mesh file.",
         examples=["btr70"],
@@ -61,6 +66,11 @@ class Object(Table):
         default=None,
         description="A part of the scene's own mesh: the name of an OBJ's usemtl, o or g, or of a glTF's node.",
         examples=["tower"],
+    )
+    poses: FileName | None = Field(
+        default=None,
+        description="CSV file with a pose in each line (docs/objects.md): a body of this table stands at each of them.",
+        examples=["vehicles.csv"],
     )
     size_m: tuple[_Size, _Size, _Size] | None = Field(
         default=None,
@@ -115,10 +125,22 @@ class Object(Table):
     tolerance: dict[str, Any] = Field(
         default_factory=dict,
         description='Standard deviation to which a key is known, in the key\'s unit, or relative, such as "5 %"; '
+        "[a, b, c] for each element of position_m, size_m and scale; "
         "{ about = VALUE, sd = ... } where another value is known than the one stated.",
-        examples=[{"position_m": 0.3, "heading_deg": 2.0}],
+        examples=[{"position_m": 0.3, "heading_deg": 2.0}, {"position_m": [0.8, 0.8, 0.02]}],
     )
 
+    survey: Annotated[str, Field(pattern=NAME)] | None = Field(
+        default=None,
+        description="Name of the survey that the pose is from; of `poses`, the file's name.",
+        examples=["vehicles"],
+    )
+    survey_tolerance: dict[Literal["position_m", "heading_deg"], Annotated[Number, Field(gt=0.0, le=1e6)]] = Field(
+        default_factory=dict,
+        description="Standard deviation of an error that all bodies of one survey have in common [m] and [deg]; "
+        "`tolerance` has what each has of its own beside it.",
+        examples=[{"heading_deg": 4.0}],
+    )
     accuracy_m: Annotated[Number, Field(gt=0.0, le=100.0)] | None = Field(
         default=None,
         description="Standard deviation of the body's outline about its true place along each axis [m], by which its "
@@ -146,10 +168,14 @@ class Object(Table):
         for key, given in value.items() if isinstance(value, dict) else ():
             if key not in KEYS.values():
                 raise ValueError(f"{key} has no tolerance; must be of {', '.join(KEYS.values())}")
-            sd = given["sd"] if isinstance(given, dict) and set(given) == {"about", "sd"} else given
+            sd = _sd_of(given) if not isinstance(given, dict) or set(given) == {"about", "sd"} else given
             text = isinstance(sd, str) and re.fullmatch(r"\s*\d+(\.\d*)?\s*%\s*", sd)
-            if not text and not (_is_number(sd) and 0 < sd < float("inf")):
-                raise ValueError(f'{key} must be a number above 0, in the key\'s own unit, or text such as "5 %"')
+            each_sd = _three(sd) if key in THREE and len(_three(sd)) == 3 else (sd,)
+            if not text and not all(_is_number(one) and 0 < one < float("inf") for one in each_sd):
+                three = ", three of them" if key in THREE else ""
+                raise ValueError(
+                    f'{key} must be a number above 0, in the key\'s own unit{three}, or text such as "5 %"'
+                )
             about = _three(given["about"]) if isinstance(given, dict) else (0.0,)
             if not all(_is_number(each) and abs(each) <= 1e8 for each in about):
                 raise ValueError(f"{key}.about: found {given['about']!r}; must be numbers as {key} itself takes")
@@ -165,6 +191,7 @@ class Object(Table):
         if self.material is not None and self.materials is not None:
             raise ValueError("found material and materials; must be one of them")
         self._refuse_foreign_keys(kinds[0])
+        self._refuse_half_a_survey()
         if self.primitive is not None:
             self._refuse_sizes()
         return self
@@ -179,6 +206,17 @@ class Object(Table):
             if not fits and (key in self.model_fields_set or word in self.learn or key in self.tolerance):
                 what = f"a {self.primitive}" if self.primitive else f"a {kind}"
                 raise ValueError(f"found {key} with {what}; must be left out there")
+
+    def _refuse_half_a_survey(self) -> None:
+        """A common error needs a survey, and an error that each body has of its own beside it."""
+        if self.poses is not None and (self.group is not None or "position_m" in self.model_fields_set):
+            what = "a group" if self.group is not None else "position_m"
+            raise ValueError(f"found poses with {what}; must be left out there")
+        for key in self.survey_tolerance:
+            if self.survey is None and self.poses is None:
+                raise ValueError("found survey_tolerance without survey; the bodies of one survey share its error")
+            if isinstance(_sd_of(self.tolerance.get(key)), str | None):
+                raise ValueError(f"found survey_tolerance of {key}; must have a tolerance of it, too, in its unit")
 
     def _refuse_sizes(self) -> None:
         if self.size_m is None:
@@ -219,7 +257,9 @@ class Object(Table):
         if isinstance(sd, str):
             share = float(sd.strip().rstrip("%")) / 100.0
             return tuple((float(value), share * abs(value)) for value in about[: len(values)])
-        return tuple((float(value), float("inf") if sd is None else float(sd)) for value in about[: len(values)])
+        sds = _three(float("inf") if sd is None else sd)
+        sds = sds * len(values) if len(sds) == 1 else sds
+        return tuple((float(value), float(one)) for value, one in zip(about[: len(values)], sds, strict=False))
 
     def pinned(self) -> Object:
         """The object with the values that its tolerances are about, which stay when a fit moves the keys' own."""
@@ -229,6 +269,10 @@ class Object(Table):
             if getattr(self, key) is not None
         }
         return self.model_copy(update={"tolerance": {**self.tolerance, **known}})
+
+
+def _sd_of(tolerance: Any) -> Any:
+    return tolerance["sd"] if isinstance(tolerance, dict) else tolerance
 
 
 def _three(value: Any) -> tuple[Any, ...]:
