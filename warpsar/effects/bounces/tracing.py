@@ -176,7 +176,7 @@ def _remarks(traced: Sequence[_Traced], max_bounces: int, error: float) -> list[
         more = f"max_bounces = {max_bounces + 1} takes them" if max_bounces < _MOST else "no more can be followed"
         found.append(
             f"multibounce: {100 * further / met:.0f} % of the rays that meet two surfaces go on to another one after "
-            f"max_bounces = {max_bounces}, and are left out; {more}. Their share of the power may be far more than that: "
+            f"max_bounces = {max_bounces}, and are left out; {more}. Their share of the power may be far more, as "
             "rays that come back from a corner add up as fields"
         )
     if error > _UNSURE:
