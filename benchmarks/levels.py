@@ -68,8 +68,11 @@ def beside() -> str:
                 apart = f"{own[band]['VV'][AT] - own[band]['HH'][AT]:.1f}"
                 if {"HH", "VV"} <= means.keys():
                     apart += f" ({means['VV'][AT] - means['HH'][AT]:.1f})"
-                rows.append([f"`{name}`", band, source, *ranges, apart])
-    head = ["surface", "band", "published", "HH [dB]", "VV [dB]", "HV [dB]", "VV - HH at 40° (published)"]
+                middle = [own[band][one][AT] - means[one][AT] for one in ("HH", "VV") if one in means]
+                within = "yes" if max(map(abs, middle)) <= SURFACES[name].spread_db else "no"
+                rows.append([f"`{name}`", band, source, *ranges, within, apart])
+    head = ["surface", "band", "published", "HH [dB]", "VV [dB]", "HV [dB]"]
+    head += ["HH, VV at 40° within spread_db", "VV - HH at 40° (published)"]
     return tables.markdown(head, rows)
 
 

@@ -10,7 +10,9 @@ from warpsar.cli import options
 
 UNITS = ("m", "cm", "mm", "in", "ft")  # a copy from warpsar.scene.new, which imports NumPy; a test compares them
 UP = ("y", "z")
-SENSORS = ("sentinel-1", "palsar", "iceye")  # a copy from warpsar.world.sensors, likewise
+SENSORS = (
+    *("sentinel-1", "palsar", "iceye", "capella", "rcm", "radarsat-2", "terrasar-x", "cosmo-skymed", "umbra", "nisar"),
+)  # a copy from warpsar.world.sensors, likewise
 
 
 @click.command(name="new", short_help="Write a first scene file for a mesh or for buildings.")

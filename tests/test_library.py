@@ -268,6 +268,43 @@ def test_the_sea_as_published() -> None:
     assert clutter.cmod5n_db(7.0, np.array([40.0]))[0] == pytest.approx(-17.8, abs=0.3)
 
 
+TOO_DARK = {"snow_dry"}
+"""Its grains scatter, and the ground below: the surface says so."""
+
+
+def means(name: str, band: str, angle: np.ndarray) -> dict[str, dict[str, np.ndarray]]:
+    """Published means beside a surface, by source and polarization, HH and VV."""
+    found: dict[str, dict[str, np.ndarray]] = {}
+    cover, _gamma = clutter.BESIDE.get(name, (None, None))
+    if cover is not None and band in clutter.HANDBOOK_GHZ:
+        found["handbook"] = {one: clutter.handbook_db(band, cover, one, angle) for one in ("HH", "VV")}
+    if name in clutter.SEA:
+        state, wind = clutter.SEA[name]
+        found["NRL"] = {one: clutter.sea_db(state, one, BANDS_HZ[band], angle) for one in ("HH", "VV")}
+        if band == "C":
+            found["CMOD5.N"] = {"VV": clutter.cmod5n_db(wind, angle)}
+    if name in ("asphalt", "concrete") and band in ("X", "Ku"):
+        soil = material(name, BANDS_HZ[band], model="oh")
+        found["Oh 2004"] = {one: sigma0_db(soil, one, BANDS_HZ[band], angle) for one in ("HH", "VV")}
+    return found
+
+
+def test_levels_at_40_degrees_lie_within_their_spread_of_published_means() -> None:
+    """HH and VV at C, X and Ku; at L surfaces are darker than that (docs/materials.md). Dry snow says what it lacks."""
+    at, held = np.array([40.0]), set()
+    for name, one in SURFACES.items():
+        own = levels(name, [40.0])
+        for band in ("C", "X", "Ku"):
+            for source, published in means(name, band, at).items():
+                for polarization, mean in published.items():
+                    off = float((own[band][polarization] - mean)[0])
+                    dark = name in TOO_DARK
+                    assert (abs(off) > one.spread_db) == dark, (name, band, source, polarization, off)
+                    held.add(name)
+    assert held == {"asphalt", "concrete", "soil_dry", "soil_wet", "grass", "snow_dry", "snow_wet", *clutter.SEA}
+    assert all(SURFACES[name].lacks for name in TOO_DARK)
+
+
 def test_every_surface_says_its_spread_and_what_is_a_choice() -> None:
     for one in SURFACES.values():
         assert 1.0 <= one.spread_db <= 10.0
@@ -321,7 +358,7 @@ def test_a_table_names_a_surface_and_overrides_keys(tmp_path: Path) -> None:
     found = Scene.load(scene_file(tmp_path, table)).materials["road"]
     assert found.eps_r == (4.83, -0.4765)
     assert found.rms_height_m == 0.0009
-    assert found.correlation_length_m == 0.006
+    assert found.correlation_length_m == 0.012
     assert found.spectrum == "exponential"
 
 

@@ -15,6 +15,7 @@ from worlds import box, ground, mesh_of, plate
 
 import warpsar
 from warpsar.world.collection import Collection
+from warpsar.world.frame import view_geometry
 
 METAL = {"eps_r": (1e6, -1e6), "rms_height_m": 1e-6, "correlation_length_m": 0.1}
 BLUR = {"range_fwhm_m": 0.5, "azimuth_fwhm_m": 0.5, "window": "taylor"}
@@ -99,3 +100,31 @@ def test_what_scatters_a_bounce_belongs_to_places() -> None:
 
     assert coherence(images[1]) > 0.95
     assert coherence(images[2]) < 0.6
+
+
+@pytest.mark.full
+def test_the_ends_of_a_corner_off_its_flash() -> None:
+    """A dihedral of 2.4 m, 5 degrees off its flash: both engines have its two ends, with one total. Complex images have
+    them at the foot's ends, to a pixel of 1/16 m; images of power up to half a cell of 0.5 m farther in."""
+    wall, floor = plate((-1.2, -1.0, 0.0), (2.4, 0.0, 0.0), (0.0, 0.0, 2.0)), plate((-4, -1, 0), (8, 0, 0), (0, 6, 0))
+    mesh = mesh_of(metal=wall, floor=floor)
+    made = scene(mesh, {"metal": METAL, "floor": METAL}, 5.0, frequency_hz=5.2e9, polarizations=("VV",))
+    made = replace(made, grid=warpsar.Grid(shape=(192, 192), spacing_m=(0.0625, 0.0625)))
+    made = replace(made, radar=made.radar.model_copy(update={"terms": ("multibounce",)}))
+    made = with_effect(made, "point_spread", BLUR)
+    field = warpsar.slc(made, device="cpu", seed=0)[0].images["VV"].astype(complex)
+    power = replace(with_effect(made, "multibounce", {"strength": 1.0}), collection=None)
+    geometry = view_geometry(5.0, 45.0, 5.2e9)
+    feet = np.array([[-1.2, -1.0, 0.0], [1.2, -1.0, 0.0]])
+    ends = sorted(feet @ geometry.u)
+    totals, inward = [], []
+    for image in (np.abs(field) ** 2, warpsar.simulate(power, device="cpu")[0].beta0["VV"].astype(float)):
+        across = image.max(axis=0)
+        peaks = [int(across[:96].argmax()), 96 + int(across[96:].argmax())]
+        at = [(column + 0.5 - 96) * 0.0625 for column in peaks]
+        inward.append([at[0] - ends[0], ends[1] - at[1]])
+        totals.append(image.sum())
+    print("farther in [m]:", np.round(inward, 2).tolist())
+    assert 10.0 * np.log10(totals[0] / totals[1]) == pytest.approx(0.0, abs=0.3)
+    assert inward[0] == pytest.approx([0.0, 0.0], abs=0.1)
+    assert inward[1] == pytest.approx([0.15, 0.15], abs=0.1)

@@ -1,5 +1,6 @@
 """Levels of corners by their roughness, against closed forms: sums of images, in dBsm."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -474,7 +475,7 @@ def test_what_is_left_out_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
         return "\n".join(made.findings.warnings(scene))
 
     told = said(bouncing(canyon, view(0.0, 30.0), 9.6e9, max_bounces=2))
-    assert "goes on to another one after max_bounces = 2; at most this share of the bounces' power is left out" in told
+    assert "go on to another one after max_bounces = 2, and are left out; max_bounces = 3 takes them" in told
     assert "cells of a pixel (0.5 x 0.5 m)" in told
     small = bouncing(trihedral("triangular", 0.5), view(45.0, AXIS_DEG), 9.6e9, shape=(4, 4), rays_per_pixel=8.0)
     assert "needed" not in said(small)  # its cells are cut
@@ -485,6 +486,26 @@ def test_what_is_left_out_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     enough = bouncing(trihedral("triangular", 1.0), view(45.0, AXIS_DEG), 9.6e9, shape=(20, 20))
     assert "needed" not in said(enough)
     assert "left out" not in said(enough)
+
+
+def test_power_beyond_the_last_bounce_and_a_corner_inside_out() -> None:
+    """All rays of a trihedral go on after two bounces, which is said without a bound on the power: the third bounce
+    holds more than 50 dB above the two. Both sides of a face reflect: faces the other way round change nothing."""
+    corner = trihedral("square", 1.0)
+    scene = bouncing(corner, view(45.0, AXIS_DEG), 9.6e9, max_bounces=2, shape=(20, 20), rays_per_pixel=16.0)
+    made = Simulation(scene, Stage.of(scene, wp.get_device("cpu")))
+    made.view(scene.views[0], 0)
+    told = "\n".join(made.findings.warnings(scene))
+    assert "100 % of the rays that meet two surfaces go on" in told
+    assert "may be far more" in told
+    whole = with_effect(scene, "multibounce", {"strength": 1.0, "max_bounces": 3})
+    layers = simulate(whole, device="cpu", layers=True)[0].layers
+    two, three = (float(layers[f"beta0_{n}_bounces_HH"].astype(float).sum()) for n in (2, 3))
+    print(f"three bounces over two: {db(three / two):.0f} dB")
+    assert three > 1e5 * two
+    turned = replace(whole, mesh=replace(corner, faces=corner.faces[:, ::-1]))
+    other = simulate(turned, device="cpu", layers=True)[0].layers["beta0_3_bounces_HH"].astype(float).sum()
+    assert other == pytest.approx(three, rel=1e-3)  # float32 sums in another order
 
 
 def test_groups_of_tubes_without_a_field() -> None:

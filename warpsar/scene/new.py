@@ -22,7 +22,7 @@ from warpsar.world.library.names import surface_named
 from warpsar.world.mesh import GLTF, Mesh, read_mesh, unlikely_size
 from warpsar.world.meshes.dem import SUFFIXES as DEM_SUFFIXES
 from warpsar.world.objects.table import UNITS
-from warpsar.world.sensors import SENSORS, noise_beta0
+from warpsar.world.sensors import SENSORS, Sensor, noise_beta0
 from warpsar.world.tables import Grid
 
 MILLIMETRES_FROM = 1000.0
@@ -31,7 +31,7 @@ _IN_METRES = (*GLTF, *DEM_SUFFIXES)  # by their standard, or turned into metres 
 
 FREQUENCY_HZ = 9.6e9
 INCIDENCE_DEG = 40.0
-NESZ_DB = SENSORS["sentinel-1"].nesz_db  # of a scene for no sensor in particular
+NESZ_DB = -22.0  # Sentinel-1's, of a scene for no sensor in particular
 PIXELS_PER_WIDTH = 2.0  # of a sensor's resolution: no pixel is smaller
 AZIMUTHS_DEG = (20.0, 140.0, 260.0)  # no side of a building that faces north lies straight across
 
@@ -93,6 +93,8 @@ azimuth_fwhm_m = {1:g}
 """
 
 _OF_NO_SENSOR = ": as ESA specifies it for Sentinel-1 (Sentinel-1 SAR Technical Guide, Performance)"
+_NOT_READ = ": Sentinel-1's, in place of the noise of {title}, which we could not read"
+_INCIDENCE_NOT_READ = "incidences: we could not read them; the views have {incidence_deg:g} degrees"
 
 _OBJECTS = """
 # A body with a place of its own, such as a parked car, stands in a table [[objects]]:
@@ -262,7 +264,8 @@ def _scene(
     reference = np.round((low + high) / 2.0, decimals) + 0.0  # + 0.0: no -0
     known = None if sensor is None else SENSORS[sensor]
     frequency_hz = FREQUENCY_HZ if known is None else known.frequency_hz
-    incidence_deg = INCIDENCE_DEG if known is None else float(np.clip(INCIDENCE_DEG, *known.incidence_deg))
+    between = None if known is None else known.incidence_deg
+    incidence_deg = INCIDENCE_DEG if between is None else float(np.clip(INCIDENCE_DEG, *between))
     looks = [view_geometry(azimuth, incidence_deg, frequency_hz) for azimuth in AZIMUTHS_DEG]
     finest = 0.0 if known is None else min(known.resolution_m) / PIXELS_PER_WIDTH
     grid = fitted_grid(corners, reference, looks, finest)
@@ -271,7 +274,7 @@ def _scene(
         mesh=tomlkit.item(mesh_name).as_string(),
         reference=reference.tolist(),
         middle=_MIDDLE,
-        sensor="" if known is None else "".join(f"# {line}\n" for line in (known.title, *known.source)),
+        sensor="" if known is None else "".join(f"# {line}\n" for line in _of_sensor(known, incidence_deg)),
         frequency=f"{frequency_hz / 1e9:g}e9",
         shape=str(list(grid.shape)),
         spacing=str(list(grid.spacing_m)),
@@ -281,12 +284,11 @@ def _scene(
         (_MATERIAL if surface is None else _OF_LIBRARY).format(name=tomlkit.key(name).as_string(), surface=surface)
         for name, surface in surfaces.items()
     )
-    nesz = NESZ_DB if known is None else known.nesz_db
-    effects = _EFFECTS.format(
-        nesz=nesz,
-        of=_OF_NO_SENSOR if known is None else f", the bound for {known.title}",
-        level=noise_beta0(nesz, incidence_deg),
-    )
+    if known is None or known.nesz_db is None:
+        nesz, of = NESZ_DB, _OF_NO_SENSOR if known is None else _NOT_READ.format(title=known.title)
+    else:
+        nesz, of = known.nesz_db, f", the bound for {known.title}"
+    effects = _EFFECTS.format(nesz=nesz, of=of, level=noise_beta0(nesz, incidence_deg))
     if known is not None:
         effects += _RESPONSE.format(*known.resolution_m)
     views = "".join(
@@ -294,3 +296,9 @@ def _scene(
     )
     objects = _OBJECTS.format(material=tomlkit.item(mesh.materials[0]).as_string())
     return grid, head + materials + effects + objects + _VIEWS + views
+
+
+def _of_sensor(sensor: Sensor, incidence_deg: float) -> list[str]:
+    """Its name, and where its numbers stand."""
+    lines = [sensor.title, *sensor.source]
+    return lines if sensor.incidence_deg else [*lines, _INCIDENCE_NOT_READ.format(incidence_deg=incidence_deg)]

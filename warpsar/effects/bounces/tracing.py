@@ -37,7 +37,8 @@ _RECORD_BYTES = 240  # a record, its field, and the sort's keys and order, twice
 _SEGMENT = 64  # cells of one thread on CUDA
 _FEWEST_BANDS, _MOST_BANDS = 8, 64  # on the CPU, where there is memory for them
 _RAYS_OF_BAND = 100_000  # from so many on, a launch costs little beside them
-_TOLD = 0.023  # of the rays that meet two surfaces, 0.1 dB: that many may go on after the last bounce, unsaid
+_TOLD = 0.023  # of the rays that meet two surfaces: that many may go on after the last bounce, unsaid
+_MOST = 4  # bounces that a path may have
 _UNSURE = 0.12  # of a bright corner's power, half a decibel: rays are too few
 _LEAST_BUDGET = 1_000_000  # rays that cutting may add to a small view
 
@@ -172,9 +173,11 @@ def _remarks(traced: Sequence[_Traced], max_bounces: int, error: float) -> list[
     found = []
     met, further = np.sum([one.area for one in traced], axis=0) if traced else (0.0, 0.0)
     if further > _TOLD * met:
+        more = f"max_bounces = {max_bounces + 1} takes them" if max_bounces < _MOST else "no more can be followed"
         found.append(
-            f"multibounce: {100 * further / met:.2g} % of the area of the rays that meet two surfaces goes on to "
-            f"another one after max_bounces = {max_bounces}; at most this share of the bounces' power is left out"
+            f"multibounce: {100 * further / met:.0f} % of the rays that meet two surfaces go on to another one after "
+            f"max_bounces = {max_bounces}, and are left out; {more}. Their share of the power may be far more, as "
+            "rays that come back from a corner add up as fields"
         )
     if error > _UNSURE:
         found.append(

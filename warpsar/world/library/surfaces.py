@@ -141,8 +141,8 @@ _AS_SNOW = "rougher than snow is: the roughness stands for what its volume adds"
 
 SURFACES: dict[str, LibrarySurface] = {
     "asphalt": _building(
-        *("asphalt", "a road of asphalt", (0.2, 2.0), (2.0, 20.0), (1.0, 6.0), 0.08, 3.0),
-        "h and l by the level in HH, the slopes by VV - HH",
+        *("asphalt", "a road of asphalt", (0.2, 2.0), (2.0, 20.0), (1.0, 12.0), 0.07, 3.0),
+        "h by the level in HH at X, l by that at Ku, the slopes by VV - HH",
         f"{_SMOOTH_SOILS}; roads of the Gotcha scene, X, HH, 5 to 8 dB below its grass",
     ),
     "concrete": _building(
