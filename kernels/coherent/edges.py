@@ -6,9 +6,9 @@ wedge, less that of the currents of physical optics.
 The faces of that wedge have no end. A wave that comes along a face is sent back along it by the edge, and what the
 current on an endless face sends is infinite there. So that part is cut off at the end of the face (Breinbjerg, IEEE
 TAP 40(12), 1992; Johansen, IEEE TAP 44(7), 1996): far from the edge the current goes as e^{-jkx} / sqrt(x), and over a
-face of length l its transform is erf(sqrt(j y)) times that of an endless one, y = k_t l (1 - cos phi). sqrt(1 - e^{-4 y / pi})
-stands for it: its modulus where y is small or large, without the ripples between (up to 37 %) that the other end of
-the face would have a share in.
+face of length l its transform is erf(sqrt(j y)) times that of an endless one, y = k_t l (1 - cos phi). The root of
+1 - e^{-4 y / pi} stands for it: its modulus where y is small or large, without the ripples between (up to 37 %) that
+the other end of the face would have a share in.
 """
 
 import warp as wp

@@ -42,7 +42,7 @@ class Wedges:
     """Of the two faces' surfaces, by area, (n, 2, 3) [m]."""
 
     def reach(self, which: NDArray[np.int64], places: NDArray[np.float64]) -> NDArray[np.float64]:
-        """How far both surfaces go from places (n, 3) on the edges `which`, (n, 2) [m]: twice the way to their middle."""
+        """How far both surfaces go from places (n, 3) on the edges `which`, (n, 2) [m]: twice the way to the middle."""
         into = np.stack([self.first[which], self.second[which]], axis=1)
         way = np.einsum("ijk,ijk->ij", self.middle[which] - places[:, None], into)
         return 2.0 * np.maximum(way, 0.0)
