@@ -13,7 +13,7 @@ import rcs_revolved as revolved
 
 
 def test_a_sphere_off_its_axis_is_that_of_mie() -> None:
-    """ka 5, 12 pieces a wavelength, both polarizations, all modes; 1 % of amplitude, most of it the outline's polygon."""
+    """ka 5, 12 pieces a wavelength, both polarizations, all modes; 1 % of amplitude, most of it the polygon."""
     size = 5.0
     points = revolved.pieces(revolved.sphere(1.0, 30), 9.0)
     found = revolved.amplitudes(points, size, np.array([0.0, 50.0]))
