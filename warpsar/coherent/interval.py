@@ -24,9 +24,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import chndtrix
 
 CONFIDENCE = 0.95
-OF_WAVELENGTH = 0.49
+OF_WAVELENGTH = 0.5
 """c: root mean square of what tips and surface waves send, over the wavelength."""
-OF_EDGES = 0.78
+OF_EDGES = 0.8
 """q: power that comes back from edges after the first diffraction, over that of the first."""
 OF_DUCTS = 0.9
 """d: Fresnel number at which what rays bring back from a duct is no better than chance."""

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from warpsar.errors import InputError
-from warpsar.io import curves
 from warpsar.io.images import read_channel, read_mask
 from warpsar.scene import checks
 from warpsar.scene.file import SceneFile, beside_the_radar, parse, parse_effects, read, refuse
@@ -177,8 +176,13 @@ class _Loader:
     def curve(self, index: int, curve: Curve) -> Curve:
         """The curve with its file's place; what does not fit the file or the radar is a problem."""
         key, path = f"curves[{index}]", self.absolute(curve.file)
+        mesh = None if curve.mesh is None else self.absolute(curve.mesh)
+        curve = curve.model_copy(update={"file": path, "mesh": mesh})
+        body = None if mesh is None else self.mesh(f"{key}.mesh", mesh)
+        for name in sorted(set(() if body is None else body.materials) - set(self.file.materials)):
+            self.problems.append(f"{key}.mesh: {mesh}: found the material {name!r}; must be one of [materials]")
         try:
-            rows = curves.read(path).select(curve.frequency_hz, curve.polarization)
+            rows = curve.rows()
         except InputError as error:
             self.problems.append(f"{key}: {error}")
             return curve
@@ -190,7 +194,7 @@ class _Loader:
             self.problems.append(f"{key}.mask: {path}: leaves no row; must leave one or more")
         elif missing := int((~np.isfinite(rows.rcs_m2)).sum()):
             self.warnings.append(f"{key}: {missing} of {rows.rcs_m2.size} rows are no number and left out")
-        return curve.model_copy(update={"file": path})
+        return curve
 
     def check_image(self, key: str, path: Path, polarization: str) -> None:
         try:
