@@ -11,6 +11,7 @@ import warpsar
 from warpsar import InputError
 from warpsar.compare.curve import compare_curves
 from warpsar.curves.amplitudes import amplitudes
+from warpsar.diagnosis.curves import diagnose_curves
 from warpsar.world.frame import SPEED_OF_LIGHT
 
 PLATE = "v {x} -{y} -.1\nv {x} {y} -.1\nv {x} {y} .1\nv {x} -{y} .1\nf 1 2 3\nf 1 3 4\n"
@@ -99,3 +100,8 @@ def test_a_mesh_of_another_material_is_refused(tmp_path: Path) -> None:
     (tmp_path / "large.obj").write_text("usemtl wood\n" + PLATE.format(x=0, y=0.15))
     with pytest.raises(InputError, match="'wood'"):
         warpsar.Scene.load(path)
+
+
+def test_diagnose_takes_one_body(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"curves\[1\].mesh"):
+        diagnose_curves(warpsar.Scene.load(folder_with_plates(tmp_path)), tmp_path / "cache")

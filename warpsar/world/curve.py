@@ -14,7 +14,7 @@ _Azimuth = Annotated[Number, Field(ge=-720.0, le=720.0)]
 _Level = Annotated[Number, Field(ge=-200.0, le=200.0)]
 
 
-class RangeProfiles(Table):
+class ProfileFile(Table):
     """`[[curves]] profiles`: the file holds complex range profiles without an absolute level, one bin of which counts.
 
     The level is one factor for all such curves of a scene. It is fitted to the train curves.
@@ -32,7 +32,7 @@ class RangeProfiles(Table):
         examples=[[141.0, 33.4]],
     )
     incidence_deg: Annotated[Number, Field(ge=0.0, le=180.0)] = Field(
-        default=90.0, description="Incidence of all directions [deg]."
+        default=90.0, description="Incidence of all directions [deg].", examples=[90.0]
     )
     bandwidth_hz: Annotated[Number, Field(ge=0.0, le=1e12)] = Field(
         default=0.0,
@@ -48,7 +48,7 @@ class Curve(Table):
     """`[[curves]]`: one curve of a file, and what it is used for. `file` is absolute in memory, as is `mesh`."""
 
     file: FileName = Field(
-        description="CSV (frequency_hz, theta_deg, phi_deg, rcs_dbsm), or the Austin suite's text.",
+        description="CSV (frequency_hz, theta_deg, phi_deg, rcs_dbsm), or the Austin suite's text; see profiles.",
         examples=["plate_5GHz.csv"],
     )
     frequency_hz: Annotated[Number, Field(ge=1e6, le=1e13)] | None = Field(
@@ -77,13 +77,12 @@ class Curve(Table):
         description="Standard deviation of the measurement's multiplicative error, where it is known [dB].",
         examples=[0.3],
     )
-
     mesh: FileName | None = Field(
         default=None,
-        description="Mesh of the body that this curve is of, where it is another one than the scene's.",
+        description="Mesh of the curve's body, where it is another one than the scene's; it has the same materials.",
         examples=["dihedral-15cm.obj"],
     )
-    profiles: RangeProfiles | None = Field(
+    profiles: ProfileFile | None = Field(
         default=None, description="How a file of complex range profiles is read; frequency_hz is then needed."
     )
 
