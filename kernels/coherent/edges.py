@@ -2,6 +2,13 @@
 
 Michaeli's equivalent currents (IEEE TAP 32(3), 1984): the transform of the exact currents on the faces of a conducting
 wedge, less that of the currents of physical optics.
+
+The faces of that wedge have no end. A wave that comes along a face is sent back along it by the edge, and what the
+current on an endless face sends is infinite there. So that part is cut off at the end of the face (Breinbjerg, IEEE
+TAP 40(12), 1992; Johansen, IEEE TAP 44(7), 1996): far from the edge the current goes as e^{-jkx} / sqrt(x), and over a
+face of length l its transform is erf(sqrt(j y)) times that of an endless one, y = k_t l (1 - cos phi). The root of
+1 - e^{-4 y / pi} stands for it: its modulus where y is small or large, without the ripples between (up to 37 %) that
+the other end of the face would have a share in.
 """
 
 import warp as wp
@@ -30,14 +37,19 @@ class Edge:
     normal_second: wp.vec3d
     outer: wp.float64  # outer angle over pi: 2 for the border of a sheet
     share: wp.float64  # 1; 1/2 where both faces state the edge
+    reach_first: wp.float64  # how far the two surfaces go from the edge [m]
+    reach_second: wp.float64
 
 
 @wp.func
-def fringe(e: wp.vec3d, k: wp.float64, s: wp.vec3d, x: wp.vec3d, n: wp.vec3d, outer: wp.float64) -> wp.vec3d:
+def fringe(
+    e: wp.vec3d, k: wp.float64, s: wp.vec3d, x: wp.vec3d, n: wp.vec3d, outer: wp.float64, reach: wp.float64
+) -> wp.vec3d:
     """Imaginary unit aside: the two fringe currents (eta J) of one face, as a vector without its factor j.
 
-    `e` is the field at the edge, `x` the direction in the face away from the edge, `n` its normal. The wave comes from
-    s and goes back to it. The result is j times a real vector: INT J over the face across the edge [V].
+    `e` is the field at the edge, `x` the direction in the face away from the edge, `n` its normal, `reach` its length
+    along x [m]. The wave comes from s and goes back to it. The result is j times a real vector: INT J over the face
+    across the edge [V].
     """
     zero = wp.float64(0.0)
     one = wp.float64(1.0)
@@ -69,9 +81,14 @@ def fringe(e: wp.vec3d, k: wp.float64, s: wp.vec3d, x: wp.vec3d, n: wp.vec3d, ou
     alpha = wp.where(phi < PI, phi, two * PI - phi)
     wide = wp.cos((PI - alpha) / outer) - wp.cos(phi / outer)
     # Transforms of H_z (hard) and of dE_z / dy (soft) along the face; the first without its factor 2j / k_t.
-    sin_alpha = wp.max(wp.sin(alpha), wp.float64(1.0e-9))
+    sin_alpha = wp.max(wp.sin(alpha), wp.float64(1.0e-6))
     hard = -wp.sin((PI - alpha) / outer) / (outer * sin_alpha * wide)
     soft = two * wp.sin(phi / outer) / (outer * wide)
+    y = kt * reach * (one - cosine)
+    kept = wp.sqrt(one - wp.exp(-wp.float64(4.0) / PI * wp.max(y, wp.float64(1.0e-12))))
+    half = wp.max(wp.tan(alpha / two), wp.float64(5.0e-7))
+    side = wp.where(phi < PI, one, -one)  # of a sheet both faces have a grazing direction
+    hard -= side * (one - kept) / (two * outer * wp.tan(HALF / outer) * half)
     hard_po = lit / (cosine + cosine)
     soft_po = -two * lit * wp.sin(phi) / (cosine + cosine)
     h = -wp.cross(s, e)  # eta H, as the wave travels along -s
@@ -94,10 +111,10 @@ def diffracted(radar: TubeRadar, k: wp.float64, edge: Edge) -> Four:
     size = sight.spread * sight.spread * edge.share * wp.length(edge.along) * sinc(k * wp.dot(s, edge.along))
     phase = turned(-wp.float64(2.0) * k * sight.back)
     factor = scaled(k, size * wp.vec2d(-phase[1], phase[0]))
-    h = fringe(u, k, s, edge.first, edge.normal_first, edge.outer)
-    h += fringe(u, k, s, edge.second, edge.normal_second, edge.outer)
-    w = fringe(v, k, s, edge.first, edge.normal_first, edge.outer)
-    w += fringe(v, k, s, edge.second, edge.normal_second, edge.outer)
+    h = fringe(u, k, s, edge.first, edge.normal_first, edge.outer, edge.reach_first)
+    h += fringe(u, k, s, edge.second, edge.normal_second, edge.outer, edge.reach_second)
+    w = fringe(v, k, s, edge.first, edge.normal_first, edge.outer, edge.reach_first)
+    w += fringe(v, k, s, edge.second, edge.normal_second, edge.outer, edge.reach_second)
     found = Four()
     found.hh = wp.dot(h, u) * factor
     found.vh = wp.dot(h, v) * factor

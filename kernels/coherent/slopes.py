@@ -282,6 +282,8 @@ class Seam:
     up_other: wp.float64
     sheet: int
     share: wp.float64
+    reach_first: wp.float64  # held: it has no derivative
+    reach_second: wp.float64
 
 
 @wp.func
@@ -314,6 +316,8 @@ def edge_of(seam: Seam, vertices: wp.array[wp.vec3d], faces: wp.array2d[int]) ->
     edge.normal_second = other
     edge.outer = outer
     edge.share = seam.share
+    edge.reach_first = seam.reach_first
+    edge.reach_second = seam.reach_second
     return edge
 
 

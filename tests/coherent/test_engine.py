@@ -10,7 +10,7 @@ import pytest
 import trimesh
 import warp as wp
 from bodies import FREQUENCY, WAVELENGTH, K, amplitudes, cross_section, decibels, plate, rectangles, scene
-from scipy.special import fresnel
+from scipy.special import erf, fresnel
 from worlds import scene_of, view
 
 import warpsar
@@ -254,19 +254,19 @@ def test_fringe_currents_of_a_half_plane(phi: float, tilt: float) -> None:
 
 
 @wp.kernel
-def _fringe_kernel(k: wp.float64, s: wp.vec3d, e: wp.array[wp.vec3d], out: wp.array[wp.vec3d]):
+def _fringe_kernel(k: wp.float64, s: wp.vec3d, reach: wp.float64, e: wp.array[wp.vec3d], out: wp.array[wp.vec3d]):
     i = wp.tid()
     x = wp.vec3d(wp.float64(1.0), wp.float64(0.0), wp.float64(0.0))
     n = wp.vec3d(wp.float64(0.0), wp.float64(1.0), wp.float64(0.0))
     two = wp.float64(2.0)
-    out[i] = edges.fringe(e[i], k, s, x, n, two) + edges.fringe(e[i], k, s, x, -n, two)
+    out[i] = edges.fringe(e[i], k, s, x, n, two, reach) + edges.fringe(e[i], k, s, x, -n, two, reach)
 
 
-def _fringes(s: np.ndarray, phi: float) -> np.ndarray:
+def _fringes(s: np.ndarray, phi: float, reach_m: float = 1e9) -> np.ndarray:
     across = np.array([-np.sin(phi), np.cos(phi), 0.0])
     fields = np.stack([across, np.cross(s, across)])
     out = wp.empty(2, dtype=wp.vec3d, device="cpu")
-    inputs = [K, wp.vec3d(*s), wp.array(fields, dtype=wp.vec3d, device="cpu")]
+    inputs = [K, wp.vec3d(*s), reach_m, wp.array(fields, dtype=wp.vec3d, device="cpu")]
     wp.launch(_fringe_kernel, 2, inputs=inputs, outputs=[out], device="cpu")
     return 1j * out.numpy()
 
@@ -332,3 +332,15 @@ def test_no_cross_polarized_return_is_said_as_that() -> None:
         assert any("there is no HV return" in one for one in found.warnings)
         assert not any("HH" in one for one in found.warnings)
         assert polarizations == ("HH", "HV") or not any("rays-per-wavelength" in one for one in found.warnings)
+
+
+@pytest.mark.parametrize("y", [0.02, 0.1, 100.0])
+def test_a_current_ends_with_its_face(y: float) -> None:
+    """Close to grazing what goes like 1 / phi is that of e^{-jkx} / sqrt(x), times e^{jkx cos(phi)}, up to the end.
+
+    The transform is erf(sqrt(j y)) of an endless one. What does not grow like 1 / phi is 5 % of the rest.
+    """
+    phi = 0.05
+    s = np.array([np.cos(phi), np.sin(phi), 0.0])
+    whole, cut = (np.abs(_fringes(s, phi, end)[0, 0]) for end in (1e9, y / (K * (1.0 - np.cos(phi)))))
+    assert cut / whole == pytest.approx(np.abs(erf(np.sqrt(1j * y))), abs=0.06)

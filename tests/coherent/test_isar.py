@@ -44,8 +44,8 @@ def sweep_of_points(azimuth: np.ndarray, frequency: np.ndarray) -> Rcs:
     nothing = np.zeros(amplitude.shape)
     share = np.zeros((azimuth.size, 1))
     return Rcs(
-        azimuth, np.array([90.0]), frequency, ("HH",), amplitude, {}, {}, nothing[..., 0], 0.001, nothing, share, share,
-        0, (),
+        azimuth, np.array([90.0]), frequency, ("HH",), amplitude, {}, {}, nothing[..., 0], 0.001, nothing, nothing,
+        share, share, 0, (),
     )  # fmt: skip
 
 

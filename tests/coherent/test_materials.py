@@ -222,7 +222,7 @@ def test_rcs_writes_its_table(files: Path) -> None:
     head, *lines = (files / "out" / "rcs.csv").read_text().splitlines()
     assert head == (
         "azimuth_deg,incidence_deg,frequency_hz,polarization,rcs_dbsm,amplitude_re_m,amplitude_im_m,fresnel_number,"
-        "ray_spacing_m,spacing_error_db"
+        "ray_spacing_m,spacing_error_db,low_dbsm,high_dbsm"
     )
     rows = [dict(zip(head.split(","), line.split(","), strict=True)) for line in lines]
     assert [(r["azimuth_deg"], r["frequency_hz"]) for r in rows] == [

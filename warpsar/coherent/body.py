@@ -222,6 +222,7 @@ class CoherentBody:
         packed["middle"] = wedges.start[which] + (step + 0.5)[:, None] * along
         for name in ("first", "second", "normal_first", "normal_second", "outer", "share"):
             packed[name] = getattr(wedges, name)[which]
+        packed["reach_first"], packed["reach_second"] = wedges.reach(which, packed["middle"]).T
         return upload(packed, edges.Edge, self.device)
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpsar.coherent.forecast import forecast
+from warpsar.coherent.interval import CONFIDENCE
 from warpsar.coherent.isar import refuse_steps, write_isar
 from warpsar.coherent.left_out import left_out
 from warpsar.coherent.rcs import FREQUENCIES_HZ, Rcs, RcsRequest, swept
@@ -44,6 +45,8 @@ COLUMNS = (
     "fresnel_number",
     "ray_spacing_m",
     "spacing_error_db",
+    "low_dbsm",
+    "high_dbsm",
 )
 LAYER_COLUMNS = (*COLUMNS[:4], "layer", *COLUMNS[4:7])
 METAL = "metal"
@@ -117,6 +120,7 @@ def run(
         "not_applied": list(left_out(scene, "rcs")),
         "ray_spacing_m": found.ray_spacing_m,
         "spacing_error_db": {"median": _finite(np.median, found), "largest": _finite(np.max, found)},
+        "interval": {"confidence": CONFIDENCE, "width_db": _widths(found)},
         "segments": found.segments,
         "refined_share": float(found.refined.max()),
         "aliased_share": float(found.aliased.max()),
@@ -154,9 +158,17 @@ def _finite(what: Callable[..., Any], found: Rcs) -> float | None:
     return float(what(errors)) if errors.size else None
 
 
+def _widths(found: Rcs) -> dict[str, float] | None:
+    """Of the intervals [dB]; None where there are none."""
+    low, high = found.interval_dbsm
+    widths = (high - low)[np.isfinite(low)]
+    return {"median": float(np.median(widths)), "largest": float(widths.max())} if widths.size else None
+
+
 def rows(found: Rcs) -> Iterator[tuple[Any, ...]]:
     """The lines of the table, in the order of `COLUMNS`. A Fresnel number that does not exist is left empty."""
     decibels, errors = found.rcs_dbsm, found.spacing_error_db
+    low, high = found.interval_dbsm
     for (a, i, f, p), amplitude in np.ndenumerate(found.amplitude_m):
         number = found.fresnel_number[a, i, f]
         yield (
@@ -170,6 +182,7 @@ def rows(found: Rcs) -> Iterator[tuple[Any, ...]]:
             "" if np.isnan(number) else f"{number:.4g}",
             f"{found.ray_spacing_m:.6g}",
             "" if np.isnan(errors[a, i, f, p]) else f"{errors[a, i, f, p]:.4f}",
+            *("" if np.isnan(end[a, i, f, p]) else f"{end[a, i, f, p]:.3f}" for end in (low, high)),
         )
 
 
@@ -218,9 +231,10 @@ def parquet(found: Rcs, path: Path) -> bool:
 def plot(found: Rcs, path: Path) -> None:
     """RCS against the angle that has more values, a panel for each frequency, a line for each polarization.
 
-    Shaded: what the spacing of the tubes leaves open.
+    Shaded: the 95 % interval for what the model leaves out, and darker what the spacing of the tubes leaves open.
     """
     angle, by_azimuth, other, decibels, errors = _cut(found)
+    ends = [each[:, 0] if by_azimuth else each[0] for each in found.interval_dbsm]
     count = min(found.frequency_hz.size, _MOST_PANELS)
     figure, panels = figures.new(8.0, 1.0 + 2.6 * count, nrows=count, sharex=True, squeeze=False)
     for f, panel in zip(_shown(found), panels[:, 0], strict=True):
@@ -230,7 +244,9 @@ def plot(found: Rcs, path: Path) -> None:
             (drawn,) = panel.plot(angle, line, lw=1.0, ls=_STYLES[p], label=name)
             about = np.nan_to_num(errors[:, f, p], posinf=_FLOOR_DB)
             low = np.maximum(line - about, highest - _FLOOR_DB)
-            panel.fill_between(angle, low, line + about, color=drawn.get_color(), alpha=0.2, lw=0.0)
+            panel.fill_between(angle, low, line + about, color=drawn.get_color(), alpha=0.3, lw=0.0)
+            bottom, top = (np.maximum(end[:, f, p], highest - _FLOOR_DB) for end in ends)
+            panel.fill_between(angle, bottom, top, color=drawn.get_color(), alpha=0.12, lw=0.0)
         panel.set_ylabel("RCS [dBsm]")
         panel.set_title(f"{found.frequency_hz[f] / 1e9:g} GHz, {other}", fontsize=10)
         panel.grid(alpha=0.3)

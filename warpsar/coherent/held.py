@@ -219,6 +219,8 @@ def seams_of(body: CoherentBody, longest_m: float) -> Any:
         packed[f"up_{face}"] = sign(np.cross(along, getattr(wedges, into)[which]), getattr(wedges, up)[which])
     packed["sheet"] = wedges.outer[which] > 2.0 - 1e-6
     packed["share"] = wedges.share[which]
+    middle = (wedges.end - wedges.start)[which] * ((step + 0.5) / cuts)[:, None] + wedges.start[which]
+    packed["reach_first"], packed["reach_second"] = wedges.reach(which, middle).T
     return packed
 
 

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from warpsar.coherent.body import CoherentBody
 from warpsar.coherent.directions import Directions
+from warpsar.coherent.interval import ends_m2, error_m2
 from warpsar.coherent.joints import joints
 from warpsar.coherent.left_out import left_out_warning
 from warpsar.coherent.rough_models import load
@@ -30,6 +31,8 @@ from warpsar.world.world import World
 FREQUENCIES_HZ = (1e6, 1e13)
 FEW = 1.0
 """Fresnel number below which rays in a duct are no better than a constant level (docs/coherent.md)."""
+CALIBRATED = ("single", "multibounce", "edges")
+"""Terms with which the interval was found."""
 LARGE_DB, WEAK_DB = 1.0, 30.0
 """An error of the spacing that is said, at values that are not so far under the strongest one."""
 NOTHING = 1e-20
@@ -69,6 +72,12 @@ class Rcs:
     ray_spacing_m: float
     spacing_error_m: NDArray[np.float64]
     """How far tubes of twice the width take the amplitude [m]: about what the spacing leaves open."""
+    model_error_m: NDArray[np.float64]
+    """What physical optics, edges and rays leave out of the amplitude [m], root mean square (`interval.error_m2`).
+
+    NaN where it is not known: for HV and VH, for a body that is not all of metal, and without one of the `CALIBRATED`
+    terms.
+    """
     refined: NDArray[np.float64]
     """(a, i): share of the tubes that got too wide and were cut."""
     aliased: NDArray[np.float64]
@@ -86,6 +95,13 @@ class Rcs:
         """Decibels over a square metre; -inf where nothing comes back."""
         with np.errstate(divide="ignore"):
             return 10.0 * np.log10(self.rcs_m2)
+
+    @property
+    def interval_dbsm(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Ends of the 95 % interval of the RCS by `model_error_m` [dBsm]; NaN where that is not known."""
+        low, high = ends_m2(self.rcs_m2, 4.0 * np.pi * self.model_error_m**2)
+        with np.errstate(divide="ignore"):
+            return 10.0 * np.log10(low), 10.0 * np.log10(high)
 
     @property
     def spacing_error_db(self) -> NDArray[np.float64]:
@@ -211,12 +227,25 @@ def swept(scene: World, asked: RcsRequest, layers: bool = False) -> Rcs:
         found.fresnel_number.reshape(*shape, -1),
         found.spacing_m,
         found.spacing_error[..., chosen].reshape(*shape, frequencies.size, len(chosen)),
+        np.full((*shape, frequencies.size, len(chosen)), np.nan),
         found.refined.reshape(shape),
         found.aliased.reshape(shape),
         found.segments,
         asked.cautions,
     )
+    metal = all(scene.materials[name].conductor for name in scene.mesh.materials)
+    if metal and set(CALIBRATED) <= set(scene.radar.terms):
+        made = replace(made, model_error_m=_model_error_m(made))
     return replace(made, warnings=(*asked.cautions, *_warnings(scene, made, strongest)))
+
+
+def _model_error_m(made: Rcs) -> NDArray[np.float64]:
+    wavelength = (SPEED_OF_LIGHT / made.frequency_hz)[:, None]
+    four_pi = 4.0 * np.pi
+    edges, bounced = (four_pi * np.abs(made.terms_m[name]) ** 2 for name in ("edges", "multibounce"))
+    error = error_m2(wavelength, edges, bounced, made.fresnel_number[..., None])
+    same = np.array([name[0] == name[1] for name in made.polarizations])
+    return np.where(same, np.sqrt(error / four_pi), np.nan)
 
 
 def _numbers(given: ArrayLike, where: str) -> NDArray[np.float64]:

@@ -38,6 +38,14 @@ class Wedges:
     vertex: NDArray[np.int64]
     """As in `Joints`."""
     part: NDArray[np.float64]
+    middle: NDArray[np.float64]
+    """Of the two faces' surfaces, by area, (n, 2, 3) [m]."""
+
+    def reach(self, which: NDArray[np.int64], places: NDArray[np.float64]) -> NDArray[np.float64]:
+        """How far both surfaces go from places (n, 3) on the edges `which`, (n, 2) [m]: twice the way to the middle."""
+        into = np.stack([self.first[which], self.second[which]], axis=1)
+        way = np.einsum("ijk,ijk->ij", self.middle[which] - places[:, None], into)
+        return 2.0 * np.maximum(way, 0.0)
 
 
 @dataclass(frozen=True)
@@ -106,7 +114,8 @@ def shape_of(vertices: NDArray[np.float64], faces: NDArray[np.int32], face_mater
     names = np.cumsum(flat) - 1
     region = np.where(curved, -1, names[surface]).astype(np.int32)
     edges = np.flatnonzero(~smooth)
-    wedges = _wedges(found, edges, into_first, into_second, between, face_material)
+    middles = _middles(surface, area, (a + b + c) / 3.0)
+    wedges = _wedges(found, edges, into_first, into_second, between, face_material, middles)
     normals, fan = _smooth_normals(vertices, faces, surface, normal, curved)
     return MeshShape(
         vertices,
@@ -142,7 +151,7 @@ def faces_alone(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Mesh
         pairs,
         np.full(len(faces), -1, np.int32),
         Regions(places, places, numbers, numbers, none, none, none, places, places, places, none),
-        Wedges(places, places, places, places, places, places, numbers, numbers, pairs, pairs, pairs, np.empty((0, 2))),
+        Wedges(*(places,) * 6, numbers, numbers, pairs, pairs, pairs, np.empty((0, 2)), np.empty((0, 2, 3))),
         float(np.ptp(vertices, axis=0).max()),
     )
 
@@ -230,6 +239,7 @@ def _wedges(
     into_second: NDArray[np.float64],
     between: NDArray[np.float64],
     face_material: NDArray[np.int32],
+    middles: NDArray[np.float64],
 ) -> Wedges:
     first, second, angle = into_first[edges], into_second[edges], between[edges]
     along = found.end[edges] - found.start[edges]
@@ -257,7 +267,15 @@ def _wedges(
         face,
         found.vertex[edges],
         found.part[edges],
+        middles[face],
     )
+
+
+def _middles(surface: NDArray[np.int32], area: NDArray[np.float64], places: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Of each face the middle of its surface by area, (m, 3); `places` are the middles of the faces."""
+    total = np.bincount(surface, area)
+    mean = np.stack([np.bincount(surface, area * places[:, i]) for i in range(3)], axis=1)
+    return np.asarray((mean / total[:, None])[surface])
 
 
 def _regions(

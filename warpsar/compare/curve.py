@@ -118,6 +118,7 @@ class CurveComparison:
             "correlation": metrics.correlation(self.measured, self.simulated, self._low_db),
             "level_db": metrics.level_db(self.measured, self.simulated),
             "deviance": float(weight @ self.scaled_deviance / weight.sum()),
+            **({} if self.seen.fitted_level_db is None else {"fitted_level_db": self.seen.fitted_level_db}),
         }
 
 

@@ -23,6 +23,7 @@ from warpsar.coherent.sweep import RAYS_PER_WAVELENGTH, TERMS
 from warpsar.io.images import replacing
 from warpsar.kernels import coherent as kernels_of_coherent
 from warpsar.version import __version__
+from warpsar.world.frame import SPEED_OF_LIGHT
 from warpsar.world.world import World
 
 _ROOMS = room_of_coherent, room_of_world, kernels, kernels_of_coherent
@@ -55,32 +56,47 @@ def amplitudes(
     cache: Path | None = None,
     device: str | None = None,
     rays_per_wavelength: float = RAYS_PER_WAVELENGTH,
+    bandwidth_hz: float = 0.0,
 ) -> Amplitudes:
-    """All terms of `[radar] terms`, by `warpsar.rcs`; from the folder `cache` where they are there."""
-    path = None
+    """All terms of `[radar] terms`, by `warpsar.rcs`; from the folder `cache` where they are there.
+
+    With `bandwidth_hz` they are the mean over a band: the range bin at the reference point, without a window.
+    """
+    band, path = _band(world, frequency_hz, bandwidth_hz), None
     if cache is not None:
-        path = cache / f"{_key(world, azimuth_deg, incidence_deg, frequency_hz, rays_per_wavelength)}.npz"
+        path = cache / f"{_key(world, azimuth_deg, incidence_deg, band, rays_per_wavelength)}.npz"
         if (found := _read(path)) is not None:
             return found
-    made = rcs(
-        world, azimuth_deg, incidence_deg, [frequency_hz], device=device, rays_per_wavelength=rays_per_wavelength
-    )
+    made = rcs(world, azimuth_deg, incidence_deg, band, device=device, rays_per_wavelength=rays_per_wavelength)
     root = np.sqrt(4.0 * np.pi)
-    terms = {name: root * term[:, 0, 0] for name, term in made.terms_m.items()}
-    result = Amplitudes(terms, made.polarizations, made.fresnel_number[:, 0, 0], made.segments)
+    terms = {name: root * term[:, 0].mean(axis=1) for name, term in made.terms_m.items()}
+    result = Amplitudes(terms, made.polarizations, made.fresnel_number[:, 0, len(band) // 2], made.segments)
     if path is not None:
         _write(path, result)
     return result
 
 
-def _key(world: World, azimuth_deg: NDArray[np.float64], incidence_deg: float, frequency_hz: float, rays: float) -> str:
+def _band(world: World, frequency_hz: float, bandwidth_hz: float) -> list[float]:
+    """As many frequencies as tell ranges apart over the body, and two widths of a bin more: the middles of even parts.
+
+    n of them repeat the bin every n widths, c / 2B each.
+    """
+    if not bandwidth_hz:
+        return [frequency_hz]
+    extent = float(np.linalg.norm(np.ptp(world.mesh.vertices, axis=0)))
+    count = int(np.ceil(2.0 * extent * bandwidth_hz / SPEED_OF_LIGHT)) + 2
+    steps = (np.arange(count) + 0.5) / count - 0.5
+    return [float(f) for f in frequency_hz + bandwidth_hz * steps]
+
+
+def _key(world: World, azimuth_deg: NDArray[np.float64], incidence_deg: float, band: list[float], rays: float) -> str:
     """What the amplitudes depend on: mesh, materials, radar, directions, seed, and the sources of the engine."""
     total = hashlib.sha256(engine_digest().encode())
     for array in (world.mesh.vertices, world.mesh.faces, world.mesh.face_material, azimuth_deg):
         total.update(np.ascontiguousarray(array).data)
     materials = [(name, world.materials[name].model_dump()) for name in world.mesh.materials]
     scene = __version__, materials, world.radar.model_dump(), world.reference_point_m, world.sampling.seed
-    total.update(repr((*scene, incidence_deg, frequency_hz, rays)).encode())
+    total.update(repr((*scene, incidence_deg, band, rays)).encode())
     return total.hexdigest()[:32]
 
 

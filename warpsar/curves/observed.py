@@ -34,6 +34,9 @@ class ObservedCurve:
     level_m2: NDArray[np.float64] = field(default_factory=lambda: np.zeros(1))
     """Mean power of what is known by its level alone, without phase; (n,) or (1,)."""
 
+    fitted_level_db: float | None = None
+    """What `measured_m2` was raised by, where the file has no absolute level."""
+
     @cached_property
     def weight(self) -> NDArray[np.float64]:
         """Share of an independent direction that each row stands for."""

@@ -102,6 +102,12 @@ def diagnose_curves(scene: Scene, cache: Path, device: str | None = None) -> Dia
     """
     if not any(curve.role == "train" for curve in scene.curves):
         raise InputError(f"{scene.name}: curves: found no train curve; must have one to name anything")
+    other = next((i for i, curve in enumerate(scene.curves) if curve.mesh is not None), None)
+    if other is not None:
+        raise InputError(
+            f"{scene.name}: curves[{other}].mesh: found {scene.curves[other].mesh}; must be left out: sectors and "
+            "parts are those of one body (warpsar evaluate takes several)"
+        )
     asked = ask(scene, cache, device)
     named = next((one for one in asked if one.outcome == "named"), None)
     before = curves_beside(observe(scene, cache=cache, device=device), scene.radar.terms)

@@ -89,6 +89,36 @@ def read(path: Path) -> RcsTable:
     return _checked(table)
 
 
+def read_profiles(
+    path: Path,
+    bins: int,
+    chosen: int,
+    azimuths_deg: tuple[float, float],
+    incidence_deg: float,
+    every: int,
+    frequency_hz: float,
+) -> RcsTable:
+    """One bin of complex64 range profiles, direction by direction; `rcs_m2` is its power in the file's own unit.
+
+    Azimuths go evenly from the first to the last. Raises InputError.
+    """
+    try:
+        size = path.stat().st_size
+        if not path.is_file() or size > LARGEST_FILE:
+            raise InputError(f"{path}: found {size} bytes; must be a file of at most {LARGEST_FILE}")
+        if not size or size % (8 * bins):
+            raise InputError(f"{path}: found {size} bytes; must be a multiple of {8 * bins}, {bins} bins of complex64")
+        samples = np.fromfile(path, "<c8").reshape(-1, bins)[:, chosen]
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+    azimuth = np.linspace(*azimuths_deg, len(samples))[::every]
+    power = np.abs(samples[::every].astype(np.complex128)) ** 2
+    if not np.isfinite(power).all():
+        raise InputError(f"{path}: found a sample that is no number; must be complex64")
+    same = np.ones(len(azimuth))
+    return RcsTable(path, frequency_hz * same, azimuth, incidence_deg * same, power, ("",) * len(azimuth))
+
+
 def write_csv(path: Path, table: RcsTable) -> None:
     """Write a table as CSV with the columns `COLUMNS` and `polarization`."""
     with replacing(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from warpsar.errors import InputError
-from warpsar.io import curves
 from warpsar.io.images import read_channel, read_mask
 from warpsar.scene import checks
 from warpsar.scene.file import SceneFile, beside_the_radar, parse, parse_effects, read, refuse
@@ -64,7 +63,7 @@ class _Loader:
         assembly = self.assembly(mesh, mesh_path, objects) if objects and not self.problems else None
         mesh = mesh if assembly is None else assembly.mesh(objects)
         views = [self.view(index, view) for index, view in enumerate(file.views)]
-        found = [self.curve(index, curve) for index, curve in enumerate(file.curves)]
+        found = [self.curve(index, curve, mesh) for index, curve in enumerate(file.curves)]
         self.problems += checks.view_names(views)
         frequency_hz = file.radar.frequency_hz
         unstated = [] if mesh is None else [name for name in mesh.materials if name not in file.materials]
@@ -185,11 +184,18 @@ class _Loader:
             self.problems.append(f"collection.trajectory: found {path}; there is no such file")
         return table.model_copy(update={"trajectory": path})
 
-    def curve(self, index: int, curve: Curve) -> Curve:
+    def curve(self, index: int, curve: Curve, of_scene: Mesh | None) -> Curve:
         """The curve with its file's place; what does not fit the file or the radar is a problem."""
         key, path = f"curves[{index}]", self.absolute(curve.file)
+        mesh = None if curve.mesh is None else self.absolute(curve.mesh)
+        curve = curve.model_copy(update={"file": path, "mesh": mesh})
+        body = None if mesh is None else self.mesh(f"{key}.mesh", mesh)
+        known_names = () if of_scene is None else of_scene.materials
+        for name in sorted(set(() if body is None else body.materials) - set(known_names)):
+            said = f"must be one of the scene's mesh, {', '.join(known_names) or 'which has none'}"
+            self.problems.append(f"{key}.mesh: {mesh}: found the material {name!r}; {said}")
         try:
-            rows = curves.read(path).select(curve.frequency_hz, curve.polarization)
+            rows = curve.rows()
         except InputError as error:
             self.problems.append(f"{key}: {error}")
             return curve
@@ -201,7 +207,7 @@ class _Loader:
             self.problems.append(f"{key}.mask: {path}: leaves no row; must leave one or more")
         elif missing := int((~np.isfinite(rows.rcs_m2)).sum()):
             self.warnings.append(f"{key}: {missing} of {rows.rcs_m2.size} rows are no number and left out")
-        return curve.model_copy(update={"file": path})
+        return curve
 
     def check_image(self, key: str, path: Path, polarization: str) -> None:
         try:

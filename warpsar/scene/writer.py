@@ -12,6 +12,7 @@ import tomlkit
 from warpsar.errors import InputError
 from warpsar.io.images import replacing
 from warpsar.world.collection import RENAMED
+from warpsar.world.curve import Curve
 from warpsar.world.objects.table import Object
 from warpsar.world.tables import (
     SURFACE_KEYS,
@@ -71,7 +72,7 @@ class _Writer:
         if scene.objects:
             tables["objects"] = [self.object(one) for one in scene.objects]
         if scene.curves:
-            tables["curves"] = [{**_plain(one), "file": self.relative(one.file)} for one in scene.curves]
+            tables["curves"] = [self.curve(one) for one in scene.curves]
         if scene.collection is not None:
             kept = {key: value for key, value in _plain(scene.collection).items() if not _twice(scene, key)}
             tables["collection"] = kept
@@ -91,6 +92,10 @@ class _Writer:
                 if isinstance(table.get(key), str):
                     table[key] = self.relative(Path(table[key]))
         return table
+
+    def curve(self, one: Curve) -> dict[str, Any]:
+        mesh = {} if one.mesh is None else {"mesh": self.relative(one.mesh)}
+        return {**_plain(one), "file": self.relative(one.file), **mesh}
 
     def object(self, one: Object) -> dict[str, Any]:
         table = _plain(one)

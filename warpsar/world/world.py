@@ -146,6 +146,7 @@ class World:
             if view.mask is not None:
                 yield view.mask
         yield from sorted({curve.file for curve in self.curves})
+        yield from sorted({curve.mesh for curve in self.curves if curve.mesh is not None})
         if self.collection is not None and self.collection.trajectory is not None:
             yield self.collection.trajectory
 
@@ -174,7 +175,7 @@ class World:
         """The tables as text, without what names a file."""
         plain: list[Any] = [self.radar, self.grid, self.sampling, self.effects, self.reference_point_m, self.accuracy_m]
         plain += [one.model_dump(exclude={"mesh"}) for one in self.objects]
-        plain += [one.model_dump(exclude={"file"}) for one in self.curves]
+        plain += [one.model_dump(exclude={"file", "mesh"}) for one in self.curves]
         plain += [] if self.collection is None else [self.collection.model_dump(exclude={"trajectory"})]
         for name, material in self.materials.items():
             model = registry.get(material.model)
