@@ -1,15 +1,10 @@
 """A phase error over slow time in complex images: found by contrast, judged on rows that decided nothing."""
 
-import json
-from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from warpsar.cli.main import main
 from warpsar.diagnosis.phase.ask import asked, folds_of
 from warpsar.diagnosis.phase.fit import POLYNOMIAL, QUADRATIC, fitted
 from warpsar.diagnosis.phase.lines import Lines, corrected, mean_contrast_and_slope

@@ -15,6 +15,7 @@ from warpsar.collection.plan import Plan, plan_of
 from warpsar.collection.scatterers import ScattererPart, Scatterers
 from warpsar.collection.slc import Slc, focused
 from warpsar.effects import registry
+from warpsar.measured.gridding import Gridding, on_grid
 from warpsar.runtime import devices
 from warpsar.world.collection import Collection
 from warpsar.world.taper import taper
@@ -156,7 +157,7 @@ def test_direct_is_refused_where_it_has_no_one_response() -> None:
     with pytest.raises(warpsar.InputError, match='found "direct" with a phase error along a stripmap'):
         refuse_direct(plan, made.name)
     made, plan = street({"phase_error": {"quadratic_rad": {"one": 200.0}}})
-    with pytest.raises(warpsar.InputError, match="with a phase error that moves power by 1[0-9][0-9] cells"):
+    with pytest.raises(warpsar.InputError, match=r"with a phase error that moves power by 1[0-9][0-9] cells"):
         refuse_direct(plan, made.name)
 
 
@@ -164,3 +165,17 @@ def test_what_cannot_be() -> None:
     assert "spline_rad.v0: found without spline_shape.v0" in refusal("phase_error", {"spline_rad": {"v0": 1.0}})
     with pytest.raises(warpsar.InputError, match="at least 4 numbers within 1000"):
         with_effect(replace(plane()), "phase_error", {"spline_rad": {"v0": 1.0}, "spline_shape": {"v0": [1.0, 2.0]}})
+
+
+def test_a_phase_history_keeps_its_phase_on_the_grid_of_a_view() -> None:
+    """What `import` makes of our own phase history is our own complex image of it, phase and all."""
+    made, plan = street({"phase_error": {"cubic_rad": {"one": 4.0}}})
+    collected = recorded(plan, speck(plan), ("HH",), CPU)
+    how = Gridding(window_range="none", window_azimuth="none", samples=(1, 1), device="cpu")
+    found = on_grid(collected.history("HH"), made, made.views[0], how)
+    own = focused(collected, made.grid, CPU)
+    assert found.slc is not None
+    scale = np.sqrt(plan.response_m2)
+    # The point lies off the level that `import` takes its pixels from by nothing; both focus in their own way.
+    assert np.abs(found.slc - scale * own.images["HH"]).max() < 0.02 * np.abs(found.slc).max()
+    assert on_grid(collected.history("HH"), made, made.views[0], replace(how, subapertures=2)).slc is None

@@ -88,7 +88,7 @@ def run(
         content["phase"] = [one.content() for one in phases]
         content["verdict"] = [*named_in(phases), *content["verdict"]]
         content = write_json(out / "diagnosis.json", scene, where, options.seed, started, content)
-        write_report(out / "report.html", done, moves, content, words)
+        write_report(out / "report.html", done, moves, content, words, phases)
         if not found.not_asked:
             checkpoint.remove(out)
         for one in content["tolerances"].values():

@@ -62,6 +62,7 @@ class PhaseError(Effect):
     order = 15
     affine = True
     in_image = True
+    of_phase = True
     summary = "phase error over slow time, which defocuses in azimuth"
     example: ClassVar[dict[str, Any]] = {"quadratic_rad": {"v0": 20.0, "v1": 20.0}}
     rate_case: ClassVar[dict[str, Any]] = {"quadratic_rad": {"v0": 4.0, "v1": 4.0, "v2": 4.0, "v3": 4.0}}

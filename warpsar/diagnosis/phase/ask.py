@@ -1,7 +1,7 @@
 """Is there a phase error over slow time in complex images? Decided on rows that had no part in finding it.
 
-The rows lie in blocks of range, and every other block belongs to one fold. The phase that gives one fold the most contrast is
-judged on the other, and the other way round. What is gained there is compared with two things:
+The rows lie in blocks of range, and every other block belongs to one fold. The phase that gives one fold the most
+contrast is judged on the other, and the other way round. What is gained there is compared with two things:
 
 - the same search on homogeneous speckle with the image's mean spectra, which no phase changes;
 - a rival without physics, real weights on the spectrum, found and judged on the same rows: beside it the phase must
@@ -81,9 +81,7 @@ def asked(folds: Sequence[Lines], seed: int = 0) -> PhaseFound:
     weights = _gain_of_weights(folds, drawn)
     beside = found.gain + _gain_of_weights(found.sharpened(folds), drawn) - weights
     least = _least(found, draws, speckle[1])
-    told = partial(
-        PhaseFound, gain=found.gain, gain_of_speckle=speckle, gain_of_weights=weights, least_rad=least
-    )
+    told = partial(PhaseFound, gain=found.gain, gain_of_speckle=speckle, gain_of_weights=weights, least_rad=least)
     beyond = found.gain - speckle[0] > SURE * speckle[1]
     if least is None:
         return told(

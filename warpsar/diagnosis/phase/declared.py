@@ -13,6 +13,7 @@ from warpsar.diagnosis.phase.ask import PhaseFound, asked, folds_of
 from warpsar.diagnosis.phase.fit import KNOTS
 from warpsar.diagnosis.phase.lines import BORDER_CELLS, Lines
 from warpsar.effects.base.phase import Response
+from warpsar.effects.base.slow_time import phase_at
 from warpsar.effects.registry import declared
 from warpsar.io import complex_image
 from warpsar.runtime import console
@@ -48,6 +49,12 @@ class PhaseAsked:
         pairs = [f"{value:.3g} +- {error:.2g}" for value, error in zip(one.coefficients, one.error, strict=True)]
         what = f"{one.family} of {', '.join(pairs)} rad"
         return f"{self.view}: {EFFECT}: named, {what}: {one.why}"
+
+    def phase(self, place: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The phase that was named [rad] at places of the aperture, -1 to 1, as the effect has it."""
+        table = self.table()
+        polynomial = [table.get(key, 0.0) for key in _POLYNOMIAL]
+        return phase_at(place, polynomial, table.get("spline_rad", 0.0), table.get("spline_shape"))
 
     def content(self) -> dict[str, Any]:
         """For diagnosis.json."""
@@ -127,8 +134,6 @@ def with_phase_errors(scene: Scene, found: list[PhaseAsked]) -> Scene:
             table.setdefault(key, {})[one.view] = value
     effects: Mapping[str, Mapping[str, Any]] = {**scene.effects, EFFECT: table}
     return replace(scene, effects=effects)
-
-
 
 
 def named_in(found: list[PhaseAsked]) -> list[str]:

@@ -1,8 +1,8 @@
 """The azimuth spectrum of a complex image, and how well locally constant power explains it under a phase.
 
 The samples of a row are circular Gaussian speckle, whose power is constant over a window of some cells. The likelihood
-of that, with the mean power of the window in place of the true one, is -ln of this mean, summed over the samples. Against
-a power that is constant along the row it is the contrast of the row, ln(mean I) - mean ln I, with I smoothed over the
+of that, with the mean power of the window in place of the true one, is -ln of this mean, summed over the samples.
+Beside a power that is constant along the row it is the contrast of the row, ln(mean I) - mean ln I, with I smoothed over the
 window. Points and edges that are sharp leave much of the image dark, and raise it. Speckle of a homogeneous ground has
 the same distribution under any phase: there the contrast says nothing.
 """
@@ -44,9 +44,7 @@ class Lines:
     """Rows and columns of the window."""
 
     @classmethod
-    def of(
-        cls, image: NDArray[np.complex64], spacing_m: tuple[float, float], cells_m: tuple[float, float]
-    ) -> Lines:
+    def of(cls, image: NDArray[np.complex64], spacing_m: tuple[float, float], cells_m: tuple[float, float]) -> Lines:
         """Of an image (rows, columns), zero where nothing was measured. `cells_m`: of the whole band in range, and of
         the whole aperture in azimuth, whose band is 1 / cell. Rows without power are left out."""
         border = int(np.ceil(BORDER_CELLS * cells_m[1] / spacing_m[1]))
@@ -97,14 +95,16 @@ def corrected(lines: Lines, phase: F64) -> F64:
 
 
 def mean_contrast_and_slope(lines: Lines, phase: F64) -> tuple[float, F64]:
-    """The mean over the rows with a phase taken off, and its derivative with the phase at each frequency, by the adjoint:
-    one transform forward and one back, however many numbers the phase has."""
+    """The mean over the rows with a phase taken off, and its derivative with the phase at each frequency.
+
+    The adjoint takes one transform forward and one back, however many numbers the phase has.
+    """
     factor = np.exp(-1j * phase)
     field = lines.image(factor)
     smooth, mean = _smoothed(lines, np.abs(field) ** 2)
     value = np.log(mean) - np.log(smooth).mean(axis=1)
     of_smooth = np.zeros(field.shape, np.float32)
-    of_smooth[:, lines.inside] = (1.0 / mean[:, None] - 1.0 / smooth) / (smooth.size)
+    of_smooth[:, lines.inside] = (1.0 / mean[:, None] - 1.0 / smooth) / smooth.size
     back = fft.fft((2.0 * _over_window(lines, of_smooth)) * field, axis=1)[:, lines.index] / lines.length
     slope = (back.conj() * (lines.spectrum * factor)).imag.sum(axis=0)
     return float(value.mean()), np.asarray(slope, np.float64)

@@ -56,6 +56,7 @@ class Effect:
         False  # traces ways over several surfaces: one fit of it costs as much as many others
     )
     last_resort: ClassVar[bool] = False  # can do what named effects do: none of the candidates of a search
+    of_phase: ClassVar[bool] = False  # power cannot tell it: `diagnose` asks complex images
     sets_positions: ClassVar[bool] = False  # a fit that moves it holds the positions of objects
     acts_on: ClassVar[tuple[Product, ...]] = ("beta0",)  # all other products refuse it by name
     in_place: ClassVar[str] = ""  # what a user writes for products that refuse it; they say so
