@@ -33,7 +33,7 @@ def lawn_with_plates() -> warpsar.Mesh:
     random, faces = np.random.default_rng(4), []
     for _ in range(20):
         x, y = random.uniform(-15.0, 15.0), random.uniform(-25.0, 25.0)
-        faces.append(plate((x, y, 0.3), (0.5, 0.0, 0.0), (0.0, -0.35, 0.35)))
+        faces.append(plate((x, y, 0.3), (0.0, -0.35, 0.35), (0.5, 0.0, 0.0)))
     ground, plates = lawn(), [mesh_of(plate=one) for one in faces]
     vertices = [ground.vertices, *(one.vertices for one in plates)]
     starts = np.cumsum([0, *(len(one) for one in vertices)])

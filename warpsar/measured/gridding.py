@@ -166,10 +166,11 @@ def _focused(
 def _carrier(history: PhaseHistory, points: np.ndarray, reference: np.ndarray) -> np.ndarray:
     """exp(-j 4 pi f (r - r0) / c) at points (..., 3), with the ways at the middle of the track and of the band."""
     ends = [history.position_m] if history.transmitter_m is None else [history.position_m, history.transmitter_m]
-    middle = history.position_m.shape[0] // 2
+    middle = slice((len(history.position_m) - 1) // 2, len(history.position_m) // 2 + 1)  # one pulse, or two
+    middles = [end[middle].mean(axis=0) for end in ends]
     places, origin = history.in_frame(points), history.in_frame(reference)
     way = np.mean(
-        [np.linalg.norm(end[middle] - places, axis=-1) - np.linalg.norm(end[middle] - origin) for end in ends], axis=0
+        [np.linalg.norm(one - places, axis=-1) - np.linalg.norm(one - origin) for one in middles], axis=0
     )
     turns = 2.0 * history.centre_frequency_hz / SPEED_OF_LIGHT * way
     return np.exp(-2j * np.pi * (turns - np.round(turns))).astype(np.complex64)

@@ -2,9 +2,9 @@
 
 The samples of a row are circular Gaussian speckle, whose power is constant over a window of some cells. The likelihood
 of that, with the mean power of the window in place of the true one, is -ln of this mean, summed over the samples.
-Beside a power that is constant along the row it is the contrast of the row, ln(mean I) - mean ln I, with I smoothed over the
-window. Points and edges that are sharp leave much of the image dark, and raise it. Speckle of a homogeneous ground has
-the same distribution under any phase: there the contrast says nothing.
+Beside a power that is constant along the row it is the contrast of the row, ln(mean I) - mean ln I, with I smoothed
+over the window. Points and edges that are sharp leave much of the image dark, and raise it. Speckle of a homogeneous
+ground has the same distribution under any phase: there the contrast says nothing.
 """
 
 from __future__ import annotations
