@@ -7,7 +7,7 @@ import pytest
 
 from warpsar.diagnosis.phase.ask import asked, folds_of
 from warpsar.diagnosis.phase.fit import POLYNOMIAL, QUADRATIC, fitted
-from warpsar.diagnosis.phase.lines import Lines, corrected, mean_contrast_and_slope
+from warpsar.diagnosis.phase.spectrum import AzimuthSpectrum, corrected, mean_contrast_and_slope
 from warpsar.world.taper import taper
 
 SPACING, CELLS = (0.3, 0.35), (0.59, 0.59)
@@ -33,8 +33,8 @@ def image(phase: Any, *, points: int = 0, edge: bool = False, seed: int = 0, sha
     return made[:, cols // 2 : cols // 2 + cols].astype(np.complex64)
 
 
-def folds(made: np.ndarray) -> list[Lines]:
-    return [Lines.of(made[mask], SPACING, CELLS) for mask in folds_of(len(made), SPACING[0], CELLS[0])]
+def folds(made: np.ndarray) -> list[AzimuthSpectrum]:
+    return [AzimuthSpectrum.of(made[mask], SPACING, CELLS) for mask in folds_of(len(made), SPACING[0], CELLS[0])]
 
 
 def test_slope_is_that_of_differences() -> None:

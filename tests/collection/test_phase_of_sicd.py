@@ -21,6 +21,7 @@ VIEW = warpsar.View(name="v0", azimuth_deg=0.0, incidence_deg=45.0)
 PIXELS, FINE_M = 160, (0.3, 0.35)
 """Two pixels to a cell."""
 BLUR = {"range_fwhm_m": 0.6, "azimuth_fwhm_m": 0.7, "window": "taylor"}
+BRIGHT = {"eps_r": 80.0, "rms_height_m": 0.003, "correlation_length_m": 0.03}
 NOISE = {"noise_floor": {"level": 3e-4}}
 
 
@@ -29,18 +30,15 @@ def lawn(width_m: float = 120.0) -> warpsar.Mesh:
 
 
 def lawn_with_plates() -> warpsar.Mesh:
-    """Twenty rough plates of half a metre that face the radar: each in one cell, some 20 dB above the lawn's."""
-    random, faces = np.random.default_rng(4), []
-    for _ in range(20):
+    """Twenty gently rough plates of half a metre that face the radar: each in one cell, far brighter than the lawn."""
+    random, vertices, faces = np.random.default_rng(4), [], []
+    for k in range(20):
         x, y = random.uniform(-15.0, 15.0), random.uniform(-25.0, 25.0)
-        faces.append(plate((x, y, 0.3), (0.0, -0.35, 0.35), (0.5, 0.0, 0.0)))
-    ground, plates = lawn(), [mesh_of(plate=one) for one in faces]
-    vertices = [ground.vertices, *(one.vertices for one in plates)]
-    starts = np.cumsum([0, *(len(one) for one in vertices)])
-    meshes = [ground, *plates]
-    return warpsar.Mesh.of(
-        np.concatenate(vertices), np.concatenate([one.faces + k for one, k in zip(meshes, starts, strict=False)])
-    )
+        corners, triangles = plate((x, y, 0.3), (0.0, -0.35, 0.35), (0.5, 0.0, 0.0))
+        vertices.append(corners)
+        faces.append(triangles + k * len(corners))
+    soil = plate((-60.0, -60.0, 0.0), (120.0, 0.0, 0.0), (0.0, 120.0, 0.0))
+    return mesh_of(soil=soil, plates=(np.concatenate(vertices), np.concatenate(faces)))
 
 
 def asked_of(folder: Path, mesh: warpsar.Mesh, quadratic_rad: float) -> tuple[warpsar.Scene, PhaseAsked]:
@@ -51,11 +49,11 @@ def asked_of(folder: Path, mesh: warpsar.Mesh, quadratic_rad: float) -> tuple[wa
         spacing=FINE_M,
         radar={"terms": ("rough",)},
         collection={"focus": "direct", "resolution_m": None},
-        material=ROUGH,
         origin=Origin(latitude_deg=48.1, longitude_deg=11.6, height_m=500.0),
     )
     error = {"phase_error": {"quadratic_rad": {"v0": quadratic_rad}}} if quadratic_rad else {}
-    made = replace(made, views=[VIEW], effects={"point_spread": BLUR, **NOISE, **error})
+    materials = {name: warpsar.Material(**(BRIGHT if name == "plates" else ROUGH)) for name in mesh.materials}
+    made = replace(made, views=[VIEW], materials=materials, effects={"point_spread": BLUR, **NOISE, **error})
     made.save(folder / "fine.toml")
     run(folder / "fine.toml", folder / "slc", "slc", device="cpu")
     grid = warpsar.Grid(shape=(PIXELS // 2, PIXELS // 2), spacing_m=(2.0 * FINE_M[0], 2.0 * FINE_M[1]))

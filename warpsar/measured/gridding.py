@@ -169,9 +169,7 @@ def _carrier(history: PhaseHistory, points: np.ndarray, reference: np.ndarray) -
     middle = slice((len(history.position_m) - 1) // 2, len(history.position_m) // 2 + 1)  # one pulse, or two
     middles = [end[middle].mean(axis=0) for end in ends]
     places, origin = history.in_frame(points), history.in_frame(reference)
-    way = np.mean(
-        [np.linalg.norm(one - places, axis=-1) - np.linalg.norm(one - origin) for one in middles], axis=0
-    )
+    way = np.mean([np.linalg.norm(one - places, axis=-1) - np.linalg.norm(one - origin) for one in middles], axis=0)
     turns = 2.0 * history.centre_frequency_hz / SPEED_OF_LIGHT * way
     return np.exp(-2j * np.pi * (turns - np.round(turns))).astype(np.complex64)
 

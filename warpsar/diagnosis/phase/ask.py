@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from warpsar.diagnosis.phase.fit import POLYNOMIAL, QUADRATIC, SPLINE, PhaseFamily, fitted, weights_fitted
-from warpsar.diagnosis.phase.lines import Lines, contrast, corrected
+from warpsar.diagnosis.phase.spectrum import AzimuthSpectrum, contrast, corrected
 
 F64 = NDArray[np.float64]
 Outcome = Literal["named", "absent", "not testable", "not told", "declared"]
@@ -66,7 +66,7 @@ def folds_of(rows: int, spacing_m: float, cell_m: float) -> tuple[NDArray[np.boo
     return inside & (block % 2 == 0), inside & (block % 2 == 1)
 
 
-def asked(folds: Sequence[Lines], seed: int = 0) -> PhaseFound:
+def asked(folds: Sequence[AzimuthSpectrum], seed: int = 0) -> PhaseFound:
     """What two folds of rows say. The seed draws speckle."""
     if min(map(len, folds)) < FEWEST_ROWS:
         few = min(map(len, folds))
@@ -77,7 +77,7 @@ def asked(folds: Sequence[Lines], seed: int = 0) -> PhaseFound:
     for _ in range(DRAWS):
         drawn = [one.speckle(random) for one in folds]
         draws.append(_searched(drawn, POLYNOMIAL))
-    speckle = _told([one.gain for one in draws])
+    speckle = _moments([one.gain for one in draws])
     weights = _gain_of_weights(folds, drawn)
     beside = found.gain + _gain_of_weights(found.sharpened(folds), drawn) - weights
     least = _least(found, draws, speckle[1])
@@ -114,9 +114,9 @@ class _Search:
     whole: F64
     """Of all rows."""
     gain: float
-    lines: Lines
+    lines: AzimuthSpectrum
 
-    def sharpened(self, folds: Sequence[Lines]) -> list[Lines]:
+    def sharpened(self, folds: Sequence[AzimuthSpectrum]) -> list[AzimuthSpectrum]:
         """Each fold with the phase of the other taken off."""
         pairs = zip(folds, reversed(self.each), strict=True)
         return [lines.turned(-self.family.basis(lines.place) @ found) for lines, found in pairs]
@@ -130,7 +130,7 @@ class _Search:
         return float(best - 0.5 * np.sum(worse))
 
 
-def _searched(folds: Sequence[Lines], family: PhaseFamily) -> _Search:
+def _searched(folds: Sequence[AzimuthSpectrum], family: PhaseFamily) -> _Search:
     one, other = folds
     both = one.with_spectrum(np.concatenate([one.spectrum, other.spectrum]))
     each = fitted(one, family), fitted(other, family)
@@ -141,7 +141,7 @@ def _searched(folds: Sequence[Lines], family: PhaseFamily) -> _Search:
     return _Search(family, each, fitted(both, family), gain, both)
 
 
-def _gain_of_weights(folds: Sequence[Lines], speckle: Sequence[Lines]) -> float:
+def _gain_of_weights(folds: Sequence[AzimuthSpectrum], speckle: Sequence[AzimuthSpectrum]) -> float:
     """Of real weights that the other fold has found, less what they do to speckle."""
     weights = [weights_fitted(*pair) for pair in zip(folds, speckle, strict=True)]
     total = 0.0
@@ -151,7 +151,7 @@ def _gain_of_weights(folds: Sequence[Lines], speckle: Sequence[Lines]) -> float:
     return total
 
 
-def _told(values: Sequence[float]) -> tuple[float, float]:
+def _moments(values: Sequence[float]) -> tuple[float, float]:
     return float(np.mean(values)), float(np.std(values, ddof=1))
 
 
@@ -159,7 +159,7 @@ def _least(found: _Search, draws: Sequence[_Search], gain_sd: float) -> float | 
     """The smallest probe whose loss is beyond that of speckle; None where `PROBE_RAD` is not."""
 
     def beyond(probe_rad: float) -> float:
-        mean, sd = _told([one.loss(probe_rad) for one in draws])
+        mean, sd = _moments([one.loss(probe_rad) for one in draws])
         return found.loss(probe_rad) - mean - SURE * max(sd, gain_sd)
 
     if beyond(PROBE_RAD) <= 0.0:

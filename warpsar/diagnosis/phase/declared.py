@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from warpsar.diagnosis.phase.ask import PhaseFound, asked, folds_of
 from warpsar.diagnosis.phase.fit import KNOTS
-from warpsar.diagnosis.phase.lines import BORDER_CELLS, Lines
+from warpsar.diagnosis.phase.spectrum import BORDER_CELLS, AzimuthSpectrum
 from warpsar.effects.base.phase import Response
 from warpsar.effects.base.slow_time import phase_at
 from warpsar.effects.registry import declared
@@ -92,7 +92,7 @@ def _asked(scene: Scene, view: View) -> PhaseFound:
     cells = _cells(widths)
     if cells is None:
         return PhaseFound("not testable", "no effects.point_spread says how wide the aperture is")
-    folds: list[list[Lines]] = [[], []]
+    folds: list[list[AzimuthSpectrum]] = [[], []]
     for polarization, path in view.slc.items():
         image, range_m, azimuth_m = complex_image.read(path, polarization)
         spacing = (float(range_m[1] - range_m[0]), float(azimuth_m[1] - azimuth_m[0]))
@@ -104,7 +104,7 @@ def _asked(scene: Scene, view: View) -> PhaseFound:
             return PhaseFound("not testable", f"its rows are shorter than {2 * _MARGINS * BORDER_CELLS} cells")
         known = np.where(np.isfinite(image), image, 0.0).astype(np.complex64)
         for fold, mask in zip(folds, folds_of(len(known), spacing[0], cells[0]), strict=True):
-            fold.append(Lines.of(known[mask], spacing, cells))
+            fold.append(AzimuthSpectrum.of(known[mask], spacing, cells))
     joined = [one[0].with_spectrum(np.concatenate([each.spectrum for each in one])) for one in folds]
     return asked(joined, seed=scene.sampling.seed)
 

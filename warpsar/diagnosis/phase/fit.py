@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from warpsar.diagnosis.phase.lines import Lines, contrast, mean_contrast_and_slope
+from warpsar.diagnosis.phase.spectrum import AzimuthSpectrum, contrast, mean_contrast_and_slope
 from warpsar.effects.base.slow_time import POWERS, spline
 
 F64 = NDArray[np.float64]
@@ -41,7 +41,7 @@ POLYNOMIAL = PhaseFamily("polynomial", len(POWERS))
 SPLINE = PhaseFamily("spline", KNOTS - 2)
 
 
-def fitted(lines: Lines, family: PhaseFamily) -> F64:
+def fitted(lines: AzimuthSpectrum, family: PhaseFamily) -> F64:
     """The coefficients of the columns, (columns,), that give the rows the most contrast.
 
     Quadratic phases are tried first, as contrast has many maxima. L-BFGS goes on from the best ones, by the adjoint.
@@ -62,7 +62,7 @@ def fitted(lines: Lines, family: PhaseFamily) -> F64:
     return np.asarray(min(found, key=lambda one: float(one.fun)).x / scale)
 
 
-def weights_fitted(lines: Lines, speckle: Lines) -> F64:
+def weights_fitted(lines: AzimuthSpectrum, speckle: AzimuthSpectrum) -> F64:
     """The rival without physics: real weights exp(a polynomial) on the spectrum, with as many numbers as the polynomial
     of the phase; as a factor (frequencies,).
 

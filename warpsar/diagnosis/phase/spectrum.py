@@ -27,7 +27,7 @@ DARKEST = 1e-3
 
 
 @dataclass(frozen=True)
-class Lines:
+class AzimuthSpectrum:
     """Rows of an image in azimuth frequency."""
 
     spectrum: NDArray[np.complex64]
@@ -44,7 +44,9 @@ class Lines:
     """Rows and columns of the window."""
 
     @classmethod
-    def of(cls, image: NDArray[np.complex64], spacing_m: tuple[float, float], cells_m: tuple[float, float]) -> Lines:
+    def of(
+        cls, image: NDArray[np.complex64], spacing_m: tuple[float, float], cells_m: tuple[float, float]
+    ) -> AzimuthSpectrum:
         """Of an image (rows, columns), zero where nothing was measured. `cells_m`: of the whole band in range, and of
         the whole aperture in azimuth, whose band is 1 / cell. Rows without power are left out."""
         border = int(np.ceil(BORDER_CELLS * cells_m[1] / spacing_m[1]))
@@ -59,14 +61,14 @@ class Lines:
     def __len__(self) -> int:
         return len(self.spectrum)
 
-    def with_spectrum(self, spectrum: NDArray[np.complex64]) -> Lines:
+    def with_spectrum(self, spectrum: NDArray[np.complex64]) -> AzimuthSpectrum:
         return replace(self, spectrum=spectrum)
 
-    def turned(self, phase: F64) -> Lines:
+    def turned(self, phase: F64) -> AzimuthSpectrum:
         """With a phase (frequencies,) [rad] added."""
         return self.with_spectrum(self.spectrum * np.exp(1j * phase).astype(np.complex64))
 
-    def speckle(self, random: np.random.Generator) -> Lines:
+    def speckle(self, random: np.random.Generator) -> AzimuthSpectrum:
         """Homogeneous speckle in place of the rows, with their mean power spectra in range and in azimuth."""
         drawn = random.standard_normal((*self.spectrum.shape, 2), dtype=np.float32).view(np.complex64)[..., 0]
         power = (np.abs(self.spectrum) ** 2).mean(axis=1, keepdims=True)
@@ -83,18 +85,18 @@ class Lines:
         return found
 
 
-def contrast(lines: Lines, factor: NDArray[Any]) -> F64:
+def contrast(lines: AzimuthSpectrum, factor: NDArray[Any]) -> F64:
     """Of each row under a factor on its spectrum, (rows,)."""
     smooth, mean = _smoothed(lines, np.abs(lines.image(factor)) ** 2)
     return np.asarray(np.log(mean) - np.log(smooth).mean(axis=1))
 
 
-def corrected(lines: Lines, phase: F64) -> F64:
+def corrected(lines: AzimuthSpectrum, phase: F64) -> F64:
     """The contrast of each row with a phase [rad] taken off, (rows,)."""
     return contrast(lines, np.exp(-1j * phase))
 
 
-def mean_contrast_and_slope(lines: Lines, phase: F64) -> tuple[float, F64]:
+def mean_contrast_and_slope(lines: AzimuthSpectrum, phase: F64) -> tuple[float, F64]:
     """The mean over the rows with a phase taken off, and its derivative with the phase at each frequency.
 
     The adjoint takes one transform forward and one back, however many numbers the phase has.
@@ -110,14 +112,14 @@ def mean_contrast_and_slope(lines: Lines, phase: F64) -> tuple[float, F64]:
     return float(value.mean()), np.asarray(slope, np.float64)
 
 
-def _smoothed(lines: Lines, power: NDArray[np.float32]) -> tuple[F64, F64]:
+def _smoothed(lines: AzimuthSpectrum, power: NDArray[np.float32]) -> tuple[F64, F64]:
     """Power over the window at the columns that count, (rows, columns), and its mean along each row."""
     smooth = _over_window(lines, power)[:, lines.inside].astype(np.float64)
     smooth += DARKEST * smooth.mean()
     return smooth, smooth.mean(axis=1)
 
 
-def _over_window(lines: Lines, values: NDArray[np.float32]) -> NDArray[np.float32]:
+def _over_window(lines: AzimuthSpectrum, values: NDArray[np.float32]) -> NDArray[np.float32]:
     """The mean over the window; it is its own adjoint for odd windows."""
     found: NDArray[np.float32] = uniform_filter(values, lines.window, mode="constant")
     return found
