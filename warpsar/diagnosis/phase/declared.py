@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -132,8 +131,7 @@ def with_phase_errors(scene: Scene, found: list[PhaseAsked]) -> Scene:
     for one in named:
         for key, value in one.table().items():
             table.setdefault(key, {})[one.view] = value
-    effects: Mapping[str, Mapping[str, Any]] = {**scene.effects, EFFECT: table}
-    return replace(scene, effects=effects)
+    return replace(scene, effects={**scene.effects, EFFECT: table})
 
 
 def named_in(found: list[PhaseAsked]) -> list[str]:

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from warpsar.diagnosis.phase.declared import PhaseAsked
 from warpsar.io import html as report
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _PLACES = 201
 
@@ -28,7 +32,7 @@ def phase_sentence(found: Sequence[PhaseAsked]) -> str:
     return f"The phase over slow time is wrong in {', '.join(named)} (phase_error). " if named else ""
 
 
-def _figure(named: Sequence[PhaseAsked]) -> object:
+def _figure(named: Sequence[PhaseAsked]) -> Figure:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(6.0, 3.2), layout="constrained")

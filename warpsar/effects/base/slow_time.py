@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 
 F64 = NDArray[np.float64]
@@ -23,7 +23,7 @@ def spline(shape: Sequence[float]) -> CubicSpline:
     return CubicSpline(np.linspace(-1.0, 1.0, len(shape)), np.asarray(shape, float), bc_type="natural")
 
 
-def phase_at(place: F64, polynomial: Sequence[float], scale: float, shape: Sequence[float] | None) -> F64:
+def phase_at(place: F64, polynomial: ArrayLike, scale: float, shape: Sequence[float] | None) -> F64:
     """The phase [rad] at places (n,): `polynomial` has the phase that each of `POWERS` gives at x = 1."""
-    found: F64 = np.sum([a * place**k for a, k in zip(polynomial, POWERS, strict=True)], axis=0)
+    found: F64 = np.sum([a * place**k for a, k in zip(np.asarray(polynomial), POWERS, strict=True)], axis=0)
     return found if shape is None or scale == 0.0 else found + scale * spline(shape)(place)
