@@ -9,6 +9,7 @@ import numpy as np
 
 from warpsar.diagnosis.phase.declared import PhaseAsked
 from warpsar.io import html as report
+from warpsar.io.figures import new
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -33,10 +34,7 @@ def phase_sentence(found: Sequence[PhaseAsked]) -> str:
 
 
 def _figure(named: Sequence[PhaseAsked]) -> Figure:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(6.0, 3.2), layout="constrained")
-    axes = figure.subplots()
+    figure, axes = new(6.0, 3.2)
     place = np.linspace(-1.0, 1.0, _PLACES)
     for one in named:
         axes.plot(place, one.phase(place), label=one.view)
