@@ -100,8 +100,9 @@ def drawn(number: int, attempt: int) -> Combination:
     random = np.random.default_rng([number, attempt])
     scene = list(SCENES)[number % len(SCENES)]
     many = 2 + number // len(SCENES) % 2
-    chosen = sorted(random.choice(len(names()), many, replace=False))
-    effects = {names()[k]: strength(names()[k], random, SCENES[scene]()) for k in chosen}
+    seen = [name for name in names() if not get(name).of_phase]
+    chosen = sorted(random.choice(len(seen), many, replace=False))
+    effects = {seen[k]: strength(seen[k], random, SCENES[scene]()) for k in chosen}
     return Combination(number, scene, effects, int(random.choice(LOOKS)), str(random.choice(KINDS)), {}, attempt)
 
 

@@ -216,9 +216,9 @@ def test_trials_can_be_declared(name: str) -> None:
     """Steps from neutral are tables that scene.toml would take, and change the images they say they change."""
     scene = street()
     trials = get(name).trials(Context(scene, 0.01))
-    assert trials
+    assert bool(trials) != get(name).of_phase
     parameters = {p.name for p in get(name).parameters}
-    for trial in (trials[0], trials[-1]):
+    for trial in (*trials[:1], *trials[-1:]):
         assert all(set(start) & parameters for start in trial.starts)
         for start in trial.starts:
             check(with_effect(scene, name, dict(start)))

@@ -53,6 +53,10 @@ def refuse_direct(plan: Plan, name: str) -> None:
         why = "a squint"
     elif plan.table.velocity_m_s:
         why = "a moving object"
+    elif plan.stripmap and plan.phase_error is not None:
+        why = "a phase error along a stripmap"
+    elif (cells := plan.smeared_cells) > MARGIN / 2:
+        why = f"a phase error that moves power by {cells:.3g} cells"
     if why is not None:
         raise InputError(f'{name}: collection.focus: found "direct" with {why}; must be "backprojection" there')
 
@@ -70,8 +74,10 @@ class _Axis:
     """From the furthest sample before a pixel to the furthest one behind it."""
 
     @classmethod
-    def of(cls, pixels_m: F64, spacing_m: float, cell_m: float, at: F64, weight: F64) -> _Axis:
-        """`at`: frequencies [1/m] of the samples with their `weight`, ascending."""
+    def of(
+        cls, pixels_m: F64, spacing_m: float, cell_m: float, at: F64, weight: F64, phase: F64 | None = None
+    ) -> _Axis:
+        """`at`: frequencies [1/m] of the samples with their `weight` and `phase` [rad], ascending."""
         every = int(np.ceil(spacing_m / (0.5 * cell_m)))
         step = spacing_m / every
         half = int(np.ceil(MARGIN * cell_m / step))
@@ -84,7 +90,7 @@ class _Axis:
         power = float((inside**2).sum() / inside.sum() ** 2) * count * step
         some = inside != 0.0
         inside[some] /= spread_transform_at(own[some] * step) * inside.sum() * np.sqrt(power) / count
-        response = fft.ifft(inside)
+        response = fft.ifft(inside if phase is None else inside * np.exp(1j * np.interp(-own, at, phase)))
         order = np.arange(-half, half + 1)
         end = np.clip((np.abs(order) / half - 0.75) / 0.25, 0.0, 1.0)
         # What lies behind a pixel comes to it through the response before a point.
@@ -338,9 +344,12 @@ def _axes(plan: Plan, range_m: F64, azimuth_m: F64, grid: Grid) -> tuple[_Axis, 
     rows = _Axis.of(range_m, grid.spacing_m[0], plan.cells_m[0], *_edged(band, weights))
     along = 2.0 * plan.centre_hz / SPEED_OF_LIGHT * (plan.track.towards() @ plan.geometry.u)
     order = np.argsort(along)
-    columns = _Axis.of(
-        azimuth_m, grid.spacing_m[1], plan.cells_m[1], *_edged(along[order], plan.azimuth_weights[order])
-    )
+    at, weights = _edged(along[order], plan.azimuth_weights[order])
+    turn = plan.phase_error
+    if turn is not None:
+        turn = turn[order]
+        turn = np.concatenate([np.full(2, turn[0]), turn, np.full(2, turn[-1])])
+    columns = _Axis.of(azimuth_m, grid.spacing_m[1], plan.cells_m[1], at, weights, turn)
     return rows, columns
 
 

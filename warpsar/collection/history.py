@@ -120,6 +120,8 @@ def phase_history(
     track = track_of(plan, device)
     for parts in _batches(scatterers.parts, getattr(scatterers, "together", TOGETHER)):
         add_spectra(plan, track, parts, spectrum)
+    if plan.phase_error is not None:
+        spectrum *= np.exp(1j * plan.phase_error).astype(np.complex64)[:, None]
     return Collected(
         plan, polarizations, np.ascontiguousarray(spectrum.swapaxes(1, 2)), scatterers.count, scatterers.aliased
     )

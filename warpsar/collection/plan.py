@@ -166,11 +166,31 @@ class Plan:
         return towards @ axis
 
     @cached_property
+    def _place(self) -> F64:
+        """Of each pulse along the aperture, (p,), -1/2 to 1/2."""
+        place = (self.cosine - 0.5 * (self.cosine.max() + self.cosine.min())) / np.ptp(self.cosine)
+        return np.asarray(place * (len(place) - 1) / len(place))
+
+    @cached_property
     def azimuth_taper(self) -> F64:
         """The taper of each pulse, (p,), as `measured.focus` applies it."""
-        place = (self.cosine - 0.5 * (self.cosine.max() + self.cosine.min())) / np.ptp(self.cosine)
-        place *= (len(place) - 1) / len(place)
-        return taper(self.windows[1], place)
+        return taper(self.windows[1], self._place)
+
+    @cached_property
+    def phase_error(self) -> F64 | None:
+        """By how much effects turn each pulse, (p,) [rad]; None where none does."""
+        ends = self.track.towards()[[int(self._place.argmin()), int(self._place.argmax())]] @ self.geometry.u
+        place = 2.0 * self._place * (1.0 if ends[1] >= ends[0] else -1.0)  # along azimuth, whatever way it is flown
+        found = [one.effect.phase(one.values, one.settings, place) for one in self.effects]
+        turned = [one for one in found if one is not None]
+        return np.sum(turned, axis=0) if turned else None
+
+    @property
+    def smeared_cells(self) -> float:
+        """Cells by which `phase_error` moves power at most: its slope over pi, along the aperture of -1 to 1."""
+        if self.phase_error is None:
+            return 0.0
+        return float(np.abs(np.gradient(self.phase_error, 2.0 * self._place)).max() / np.pi)
 
     @cached_property
     def azimuth_weights(self) -> F64:

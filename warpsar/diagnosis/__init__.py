@@ -24,6 +24,7 @@ report/             report.html of `warpsar diagnose`
 left/               what is left at the end: where, how much, of what shape
 search/             the search for what is missing: turns, confirmations, and how far it has come
 turn/               one turn of the search: which effect, or which body, is likeliest
+phase/              what the phase of complex images says: an error over slow time
 dark/               what dark pixels say: power where the model puts none
 proposals/          what the mesh lacks: an object that several views agree on
 scores/             how well what is left fits the template of an effect

@@ -16,6 +16,7 @@ from warpsar.diagnosis.curves import diagnose_curves
 from warpsar.diagnosis.found import DiagnoseOptions
 from warpsar.diagnosis.left.words import first_sentence
 from warpsar.diagnosis.models.names import kind_of
+from warpsar.diagnosis.phase.declared import ask_phase, named_in, with_phase_errors
 from warpsar.diagnosis.report.page import write_report
 from warpsar.diagnosis.result import OPEN_WORDS, Diagnosed, judged
 from warpsar.diagnosis.search.procedure import diagnose_scene
@@ -72,6 +73,8 @@ def run(
         return content
     console.warn(unaimed(scene))
     once.join(where)
+    phases = once.find(lambda: ask_phase(scene))
+    scene = with_phase_errors(scene, phases)
     record = open_record(scene, options, out, resume or bool(once.restarts()))
     found = diagnose_scene(scene, where, options, record)
 
@@ -83,8 +86,10 @@ def run(
         done.diagnosis.final.scene.save(out / "scene.toml")
         annotate(out / "scene.toml", done.diagnosis.objects)
         content = content_of(done, moves, identified, options) | {"processes": processes}
+        content["phase"] = [one.content() for one in phases]
+        content["verdict"] = [*named_in(phases), *content["verdict"]]
         content = write_json(out / "diagnosis.json", scene, where, options.seed, started, content)
-        write_report(out / "report.html", done, moves, content, words)
+        write_report(out / "report.html", done, moves, content, words, phases)
         if not found.not_asked:
             checkpoint.remove(out)
         for one in content["tolerances"].values():
@@ -101,7 +106,7 @@ def run(
         if done.open_surface:
             console.say(done.open_surface)
         console.say_written(out, "report.html", "diagnosis.json", "scene.toml")
-        print(in_short(done), file=sys.stdout)
+        print("; ".join([*(one.words for one in phases if one.named), in_short(done)]), file=sys.stdout)
         return content
 
     return once.agree(lambda: once.write(write)) or {}

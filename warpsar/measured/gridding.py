@@ -14,6 +14,7 @@ from warpsar.formats.base.data import ImageChip, PhaseHistory
 from warpsar.measured.focus import cell_m, focus
 from warpsar.measured.ground import mesh_points, pixel_centres, plane_points
 from warpsar.measured.resample import averaged, sample_complex, sample_power
+from warpsar.world.frame import SPEED_OF_LIGHT
 from warpsar.world.tables import View
 from warpsar.world.world import World, geometry_of
 
@@ -50,7 +51,8 @@ class Gridded:
     """Of the samples, (rows * samples[0],) [m]."""
     azimuth_m: np.ndarray
     slc: np.ndarray | None
-    """The samples of a complex image, complex64 (rows * samples[0], cols * samples[1])."""
+    """The samples of a complex image, complex64 (rows * samples[0], cols * samples[1]), or of a phase history that is
+    focused as one aperture onto a plane."""
 
 
 def on_grid(measured: PhaseHistory | ImageChip, world: World, view: View, how: Gridding) -> Gridded:
@@ -76,7 +78,7 @@ def on_grid(measured: PhaseHistory | ImageChip, world: World, view: View, how: G
         else:
             points = plane_points(geometry, reference, range_m, azimuth_m)
         if isinstance(measured, PhaseHistory):
-            fine = _focused(measured, points, reference, how)
+            fine, slc = _focused(measured, points, reference, how)
         else:
             fine, slc = _sampled(measured, _located(measured, points, reference))
     with np.errstate(all="ignore"):  # beyond float32 is infinite, and no power
@@ -139,8 +141,11 @@ def _in_slant_plane(
     return np.stack(np.meshgrid(row, col, indexing="ij"), axis=-1)
 
 
-def _focused(history: PhaseHistory, points: np.ndarray, reference: np.ndarray, how: Gridding) -> np.ndarray:
-    """Power, mean over the sub-apertures, with the file's autofocus where it has one."""
+def _focused(
+    history: PhaseHistory, points: np.ndarray, reference: np.ndarray, how: Gridding
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Power, mean over the sub-apertures, with the file's autofocus where it has one; and the complex image of a single
+    aperture on a plane, whose phase is that of a complex image: -4 pi f (r - r0) / c at the middle of the track."""
     images = focus(
         history.with_autofocus(),
         points,
@@ -153,7 +158,20 @@ def _focused(history: PhaseHistory, points: np.ndarray, reference: np.ndarray, h
     power = np.zeros(points.shape[:-1])
     for image in images:
         power += image.real.astype(np.float64) ** 2 + image.imag.astype(np.float64) ** 2
-    return power / how.subapertures
+    if how.subapertures > 1 or how.surface == "mesh":
+        return power / how.subapertures, None
+    return power, image * _carrier(history, points, reference)
+
+
+def _carrier(history: PhaseHistory, points: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """exp(-j 4 pi f (r - r0) / c) at points (..., 3), with the ways at the middle of the track and of the band."""
+    ends = [history.position_m] if history.transmitter_m is None else [history.position_m, history.transmitter_m]
+    middle = slice((len(history.position_m) - 1) // 2, len(history.position_m) // 2 + 1)  # one pulse, or two
+    middles = [end[middle].mean(axis=0) for end in ends]
+    places, origin = history.in_frame(points), history.in_frame(reference)
+    way = np.mean([np.linalg.norm(one - places, axis=-1) - np.linalg.norm(one - origin) for one in middles], axis=0)
+    turns = 2.0 * history.centre_frequency_hz / SPEED_OF_LIGHT * way
+    return np.exp(-2j * np.pi * (turns - np.round(turns))).astype(np.complex64)
 
 
 def _located(chip: ImageChip, points: np.ndarray, reference: np.ndarray) -> np.ndarray:

@@ -6,6 +6,7 @@ law.py        the learned law of backscatter, drawn
 left.py       what is left
 next_step.py  what to do next
 objects.py    objects before and after
+phase.py      what the phase of complex images says
 summary.py    the answer
 surface.py    parameters before and after
 turns.py      a turn

@@ -7,10 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from warpsar.diagnosis.found import Turn
+from warpsar.diagnosis.phase.declared import PhaseAsked
 from warpsar.diagnosis.report.first import first_screen, verdict_sentence
 from warpsar.diagnosis.report.law import law_section
 from warpsar.diagnosis.report.left import left_section, residuals_section
 from warpsar.diagnosis.report.objects import objects_section
+from warpsar.diagnosis.report.phase import phase_section, phase_sentence
 from warpsar.diagnosis.report.summary import summary_section
 from warpsar.diagnosis.report.surface import parameters_section
 from warpsar.diagnosis.report.turns import turn_section
@@ -20,7 +22,12 @@ from warpsar.io import html as report
 
 
 def write_report(
-    path: Path, done: Diagnosed, moves: Sequence[ParameterMove], content: dict[str, Any], command: Sequence[str]
+    path: Path,
+    done: Diagnosed,
+    moves: Sequence[ParameterMove],
+    content: dict[str, Any],
+    command: Sequence[str],
+    phases: Sequence[PhaseAsked] = (),
 ) -> None:
     """`path` lies beside the written scene. `content` is that of diagnosis.json, `command` the words that made it."""
     found = done.diagnosis
@@ -29,6 +36,7 @@ def write_report(
     sections = [
         *first_screen(done, path.parent),
         summary_section(done, content),
+        *phase_section(phases),
         *objects_section(done, content),
         residuals_section(done),
         *(turn_section(turn, number, done, content) for number, turn in enumerate(found.turns)),
@@ -40,7 +48,7 @@ def write_report(
             content, command, "Beside this file: diagnosis.json (all numbers), scene.toml (the model at the end)."
         ),
     ]
-    report.write(path, report.page(verdict_sentence(done), lead, *sections))
+    report.write(path, report.page(phase_sentence(phases) + verdict_sentence(done), lead, *sections))
 
 
 def _not_tested(turn: Turn) -> str:

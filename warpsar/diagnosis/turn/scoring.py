@@ -92,7 +92,7 @@ def _grouped(
     evidence = beside_fields(evidence, projection, seed)
     found: dict[str, list[TemplateGroup]] = {}
     for name in names():
-        if name in base.scene.effects:
+        if name in base.scene.effects or get(name).of_phase:
             continue
         if get(name).last_resort or any(name in refused_with(material.model) for material in scene.materials.values()):
             found[name] = []

@@ -8,6 +8,7 @@ from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from warpsar.effects.base.parameter import EffectParameter, Setting
 from warpsar.effects.base.phase import ComplexImage, Copy, Response
@@ -55,6 +56,7 @@ class Effect:
         False  # traces ways over several surfaces: one fit of it costs as much as many others
     )
     last_resort: ClassVar[bool] = False  # can do what named effects do: none of the candidates of a search
+    of_phase: ClassVar[bool] = False  # power cannot tell it: `diagnose` asks complex images
     sets_positions: ClassVar[bool] = False  # a fit that moves it holds the positions of objects
     acts_on: ClassVar[tuple[Product, ...]] = ("beta0",)  # all other products refuse it by name
     in_place: ClassVar[str] = ""  # what a user writes for products that refuse it; they say so
@@ -84,6 +86,13 @@ class Effect:
     def copies(self, values: np.ndarray) -> tuple[Copy, ...]:
         """Further images of all scatterers that lie in the image, each times a phase of its own."""
         return ()
+
+    def phase(
+        self, values: np.ndarray, settings: Mapping[str, Any], place: NDArray[np.float64]
+    ) -> NDArray[np.float64] | None:
+        """By how much it turns the samples that are recorded at places of the aperture [rad], of the shape of `place`,
+        which goes from -1 to 1 along azimuth. None where it turns none."""
+        return None
 
     def samples(
         self, image: ComplexImage, values: np.ndarray, settings: Mapping[str, Any], samples: np.ndarray

@@ -1,0 +1,90 @@
+"""A phase error in an own SICD, through `warpsar import` to what `diagnose` asks of the phase."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from collected_scenes import ROUGH, scene
+from worlds import mesh_of, plate
+
+import warpsar
+from warpsar.collection.command import run
+from warpsar.diagnosis.phase.declared import PhaseAsked, ask_phase, with_phase_errors
+from warpsar.measured.importer import import_measured
+from warpsar.world.tables import Origin
+
+pytest.importorskip("sarkit")
+TURN = 2.0 * np.pi
+VIEW = warpsar.View(name="v0", azimuth_deg=0.0, incidence_deg=45.0)
+PIXELS, FINE_M = 160, (0.3, 0.35)
+"""Two pixels to a cell."""
+BLUR = {"range_fwhm_m": 0.6, "azimuth_fwhm_m": 0.7, "window": "taylor"}
+BRIGHT = {"eps_r": 80.0, "rms_height_m": 0.003, "correlation_length_m": 0.03}
+NOISE = {"noise_floor": {"level": 3e-4}}
+
+
+def lawn(width_m: float = 120.0) -> warpsar.Mesh:
+    return mesh_of(soil=plate((-0.5 * width_m, -60.0, 0.0), (width_m, 0.0, 0.0), (0.0, 120.0, 0.0)))
+
+
+def lawn_with_plates() -> warpsar.Mesh:
+    """Twenty gently rough plates of half a metre that face the radar: each in one cell, far brighter than the lawn."""
+    random, vertices, faces = np.random.default_rng(4), [], []
+    for k in range(20):
+        x, y = random.uniform(-15.0, 15.0), random.uniform(-25.0, 25.0)
+        corners, triangles = plate((x, y, 0.3), (0.0, -0.35, 0.35), (0.5, 0.0, 0.0))
+        vertices.append(corners)
+        faces.append(triangles + k * len(corners))
+    soil = plate((-60.0, -60.0, 0.0), (120.0, 0.0, 0.0), (0.0, 120.0, 0.0))
+    return mesh_of(soil=soil, plates=(np.concatenate(vertices), np.concatenate(faces)))
+
+
+def asked_of(folder: Path, mesh: warpsar.Mesh, quadratic_rad: float) -> tuple[warpsar.Scene, PhaseAsked]:
+    """The scene of the imported SICD, which declares no phase error, and what is said of its view."""
+    made: Any = scene(
+        mesh,
+        shape=(PIXELS, PIXELS),
+        spacing=FINE_M,
+        radar={"terms": ("rough",)},
+        collection={"focus": "direct", "resolution_m": None},
+        origin=Origin(latitude_deg=48.1, longitude_deg=11.6, height_m=500.0),
+    )
+    error = {"phase_error": {"quadratic_rad": {"v0": quadratic_rad}}} if quadratic_rad else {}
+    materials = {name: warpsar.Material(**(BRIGHT if name == "plates" else ROUGH)) for name in mesh.materials}
+    made = replace(made, views=[VIEW], materials=materials, effects={"point_spread": BLUR, **NOISE, **error})
+    made.save(folder / "fine.toml")
+    run(folder / "fine.toml", folder / "slc", "slc", device="cpu")
+    grid = warpsar.Grid(shape=(PIXELS // 2, PIXELS // 2), spacing_m=(2.0 * FINE_M[0], 2.0 * FINE_M[1]))
+    replace(made, collection=None, grid=grid, effects=NOISE).save(folder / "measured.toml")
+    import_measured([folder / "slc" / "v0.nitf"], folder / "measured.toml", "v0", device="cpu")
+    read = warpsar.Scene.load(folder / "measured.toml")
+    (found,) = ask_phase(read)
+    return read, found
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("mesh", [lawn_with_plates(), lawn(22.0)], ids=["points", "edges"])
+def test_an_error_in_an_own_sicd_is_named_and_measured(mesh: warpsar.Mesh, tmp_path: Path) -> None:
+    """2 pi at the band's edge, to 5 %: from bright plates, and from a lawn that ends in the image."""
+    read, one = asked_of(tmp_path, mesh, TURN)
+    assert one.found.outcome == "named", one.words
+    table = with_phase_errors(read, [one]).effects["phase_error"]
+    assert table["quadratic_rad"]["v0"] == pytest.approx(TURN, rel=0.05)
+    assert table["fixed"] is True
+    (again,) = ask_phase(with_phase_errors(read, [one]))
+    assert again.found.outcome == "declared"
+
+
+@pytest.mark.full
+def test_plates_without_an_error_are_told_so(tmp_path: Path) -> None:
+    _, one = asked_of(tmp_path, lawn_with_plates(), 0.0)
+    assert one.found.outcome == "absent", one.words
+
+
+@pytest.mark.full
+def test_a_lawn_alone_cannot_tell(tmp_path: Path) -> None:
+    """Homogeneous speckle has the same distribution under any phase."""
+    _, one = asked_of(tmp_path, lawn(), TURN)
+    assert one.found.outcome == "not testable", one.words

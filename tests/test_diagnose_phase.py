@@ -1,0 +1,107 @@
+"""A phase error over slow time in complex images: found by contrast, judged on rows that decided nothing."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from warpsar.diagnosis.phase.ask import asked, folds_of
+from warpsar.diagnosis.phase.fit import POLYNOMIAL, QUADRATIC, fitted
+from warpsar.diagnosis.phase.spectrum import AzimuthSpectrum, corrected, mean_contrast_and_slope
+from warpsar.world.taper import taper
+
+SPACING, CELLS = (0.3, 0.35), (0.59, 0.59)
+ROWS, COLS = 128, 160
+TURN = 2.0 * np.pi
+
+
+def image(phase: Any, *, points: int = 0, edge: bool = False, seed: int = 0, shape: Any = (ROWS, COLS)) -> np.ndarray:
+    """Speckle under Taylor's taper and a phase; with points 35 dB above it, or 20 dB darker behind an edge.
+
+    It is cut from an image twice as wide, so that power comes in over its ends as in a real one.
+    """
+    random, (rows, cols) = np.random.default_rng(seed), shape
+    place = -2.0 * CELLS[1] * np.fft.fftfreq(2 * cols, SPACING[1])
+    weight = np.where(np.abs(place) <= 1.0, taper("taylor", np.clip(0.5 * place, -0.5, 0.5)), 0.0)
+    field = random.standard_normal((rows, 2 * cols)) + 1j * random.standard_normal((rows, 2 * cols))
+    if edge:
+        field[:, cols:] *= 0.1
+    for _ in range(points):
+        field[random.integers(rows), random.integers(cols // 2 + 30, cols + cols // 2 - 30)] += 80.0
+    made = np.fft.ifft(np.fft.fft(field, axis=1) * weight * np.exp(1j * phase(place)), axis=1)
+    made = 0.5 * (made + np.roll(made, 1, axis=0))  # cells of two rows
+    return made[:, cols // 2 : cols // 2 + cols].astype(np.complex64)
+
+
+def folds(made: np.ndarray) -> list[AzimuthSpectrum]:
+    return [AzimuthSpectrum.of(made[mask], SPACING, CELLS) for mask in folds_of(len(made), SPACING[0], CELLS[0])]
+
+
+def test_slope_is_that_of_differences() -> None:
+    """In double precision, along a random change of the phase at all frequencies."""
+    (lines, _) = folds(image(lambda x: 4.0 * x**2, points=6))
+    lines = lines.with_spectrum(lines.spectrum.astype(np.complex128))
+    phase = 3.0 * lines.place**2 - lines.place**3
+    change = np.random.default_rng(1).standard_normal(len(phase))
+    value, slope = mean_contrast_and_slope(lines, phase)
+    step = 1e-3
+    ends = [corrected(lines, phase + sign * step * change).mean() for sign in (1.0, -1.0)]
+    assert value == pytest.approx(corrected(lines, phase).mean(), rel=1e-6)
+    # Fields are held in single precision while they are transformed: 1e-6 of a contrast of 0.5, over 2e-3.
+    assert slope @ change == pytest.approx((ends[0] - ends[1]) / (2.0 * step), rel=3e-3)
+
+
+@pytest.mark.parametrize("kind", [{"points": 12}, {"edge": True}], ids=["points", "edge"])
+def test_the_fit_measures_a_quadratic_error(kind: dict[str, Any]) -> None:
+    """2 pi at the band's edge to 5 %, on half of the rows, from points and from an edge alone."""
+    for lines in folds(image(lambda x: TURN * x**2, **kind)):
+        assert fitted(lines, QUADRATIC) == pytest.approx([TURN], rel=0.05)
+
+
+def test_the_fit_measures_a_polynomial() -> None:
+    (lines, _) = folds(image(lambda x: 4.0 * x**2 - 5.0 * x**3 + 3.0 * x**4, points=16))
+    found = POLYNOMIAL.basis(lines.place) @ fitted(lines, POLYNOMIAL)
+    true = POLYNOMIAL.basis(lines.place) @ [4.0, -5.0, 3.0]
+    weight = taper("taylor", 0.5 * lines.place) ** 2
+    assert np.sqrt((weight * (found - true) ** 2).sum() / weight.sum()) < 0.3  # rad; lambda / 40 is 0.16
+
+
+def test_rows_of_a_fold_lie_apart() -> None:
+    one, other = folds_of(ROWS, SPACING[0], CELLS[0])
+    rows = [np.flatnonzero(mask) for mask in (one, other)]
+    assert np.abs(rows[0][:, None] - rows[1]).min() * SPACING[0] >= 2.0 * CELLS[0]
+    assert 0.3 * ROWS < len(rows[0]) < 0.5 * ROWS
+
+
+def test_few_rows_are_not_tested() -> None:
+    found = asked(folds(image(lambda x: 0.0 * x, shape=(24, COLS))))
+    assert found.outcome == "not testable"
+    assert "rows in one half" in found.why
+
+
+@pytest.mark.full
+@pytest.mark.parametrize(
+    ("turn", "kind", "outcome"),
+    [
+        (TURN, {"points": 12}, "named"),
+        (TURN, {"edge": True}, "named"),
+        (0.0, {"points": 12}, "absent"),
+        (0.0, {"edge": True}, "absent"),
+        (TURN, {}, "not testable"),
+        (0.0, {}, "not testable"),
+    ],
+    ids=["points", "edge", "points without", "edge without", "speckle", "speckle without"],
+)
+def test_what_is_said(turn: float, kind: dict[str, Any], outcome: str) -> None:
+    found = asked(folds(image(lambda x: turn * x**2, **kind, seed=3)))
+    assert found.outcome == outcome, found
+    if outcome == "named":
+        assert found.coefficients[0] == pytest.approx(TURN, rel=0.05)
+        assert found.family == "quadratic"
+
+
+@pytest.mark.full
+def test_real_weights_are_no_phase() -> None:
+    """An image that is blurred by a narrow band, with points that are the same to either side: nothing is named."""
+    made = image(lambda x: 3j * x**2, points=12)  # exp(j 3j x^2): weights that fall to the band's edge
+    assert asked(folds(made)).outcome in ("absent", "not told")
