@@ -9,6 +9,7 @@ import pytest
 
 import warpsar
 from warpsar.runtime import console
+from warpsar.simulation import SimulatedView
 
 pytestmark = pytest.mark.unit
 
@@ -73,7 +74,7 @@ def test_a_scene_and_a_mesh_show_in_one_line() -> None:
 
 def test_results_show_in_one_line() -> None:
     image, axis = np.ones((64, 32), np.float32), np.arange(64.0)
-    view = warpsar.simulation.SimulatedView("a", {"HH": image}, axis, axis[:32], rays=10, hits=5)
+    view = SimulatedView("a", {"HH": image}, axis, axis[:32], rays=10, hits=5)
     assert repr(view) == "<SimulatedView a: HH, 64 x 32 pixels, 10 rays>"
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from warpsar.cli.main import COMMANDS
+from warpsar.version import __version__
 
 ROOT = Path(__file__).resolve().parent.parent
 ROOMS = {"warpsar": "warpsar", "cli": "warpsar.cli", "kernels": "warpsar.kernels"}
@@ -63,7 +64,7 @@ def test_wheel_puts_nothing_but_warpsar_on_the_import_path(installed: Path) -> N
 
 def test_wheel_runs_as_a_module(installed: Path, tmp_path: Path) -> None:
     code = "import runpy; sys.argv[0] = 'warpsar'; runpy.run_module('warpsar', run_name='__main__')"
-    assert run_python(code, "--version", cwd=tmp_path, path=installed) == "warpsar 0.1.0\n"
+    assert run_python(code, "--version", cwd=tmp_path, path=installed) == f"warpsar {__version__}\n"
 
 
 USER = """
