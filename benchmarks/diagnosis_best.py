@@ -4,7 +4,7 @@
     python benchmarks/diagnosis_best.py table -o out/best [--rates out/rates] [--write]
 
 The cases are those of diagnosis_rates.py. An oracle knows which effect is missing, and with which parameters. It fits
-by one step from the truth (limits.py). docs/diagnosis.md has the table.
+by one step from the truth (limits.py). docs/diagnosis-rates.md has the table.
 """
 
 from __future__ import annotations

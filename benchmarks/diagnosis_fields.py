@@ -5,7 +5,7 @@ are maps of 64 x 64 texels, with effects that the scene file does not declare.
     python benchmarks/diagnosis_fields.py table -o out/diagnosis_fields [--write]
 
 A run appends one line of JSON to runs.jsonl in the folder; runs that are there already are not made again. Every run
-has its own speckle and its own rays, and begins at uniform maps. docs/diagnosis.md has the results.
+has its own speckle and its own rays, and begins at uniform maps. docs/diagnosis-method.md has the results.
 """
 
 import json

@@ -5,7 +5,7 @@
 
 A CASE is a folder with a scene.toml. Each is diagnosed in a process of its own, on a machine that does nothing else.
 What is announced before the search, for as many effects as were then found, is held against the time that it took.
-docs/diagnosis.md has the table.
+docs/diagnosis-rates.md has the table.
 """
 
 import json
@@ -82,7 +82,7 @@ def run(cases: tuple[Path, ...], out: Path, device: str) -> None:
 
 @main.command()
 @out_option
-@click.option("--write", is_flag=True, help="put the table into docs/diagnosis.md")
+@click.option("--write", is_flag=True, help="put the table into docs/diagnosis-rates.md")
 def table(out: Path, write: bool) -> None:
     """The runs in OUT as a table."""
     runs = sorted((tables.stored(path) for path in out.glob("*.json")), key=lambda one: one["took_s"])

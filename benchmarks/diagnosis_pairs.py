@@ -6,8 +6,8 @@
 Every combination is drawn by its number: the scene (two of them), two or three effects of the library, their strengths
 about `Effect.rate_case`, looks and speckle. One that speckle would hide is drawn again: each of its effects must be
 within reach of an oracle that knows the others, and no other effect may explain as much (limits.py). A run appends one
-line of JSON to runs.jsonl in the folder; runs that are there already are not made again. docs/diagnosis.md has the
-results.
+line of JSON to runs.jsonl in the folder; runs that are there already are not made again.
+docs/diagnosis-rates.md has the results.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ not declare (`Effect.rate_case`), with nothing missing, with several effects, an
     python benchmarks/diagnosis_rates.py table -o out/rates [--write]
 
 A run appends one line of JSON to runs.jsonl in the folder; runs that are there already are not made again. Every run
-has its own speckle, its own rays and its own wrong start. docs/diagnosis.md has the results.
+has its own speckle, its own rays and its own wrong start. docs/diagnosis-rates.md has the results.
 """
 
 import json

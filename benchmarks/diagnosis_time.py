@@ -4,7 +4,7 @@
     python benchmarks/diagnosis_time.py table -o out/diagnosis_time [--write]
 
 A CASE is a folder with a scene.toml. Each runs in a process of its own and leaves a JSON file. CPU seconds are those of
-all threads: they depend less on what else a machine does than wall seconds. docs/diagnosis.md has the table.
+all threads: they depend less on what else a machine does than wall seconds. docs/diagnosis-rates.md has the table.
 """
 
 import json
@@ -163,7 +163,7 @@ def run(cases: tuple[Path, ...], out: Path, device: str) -> None:
 
 @main.command()
 @out_option
-@click.option("--write", is_flag=True, help="put the table into docs/diagnosis.md")
+@click.option("--write", is_flag=True, help="put the table into docs/diagnosis-rates.md")
 def table(out: Path, write: bool) -> None:
     """The runs in OUT as a table."""
     runs = sorted((tables.stored(path) for path in out.glob("*.json")), key=lambda one: (one["device"], one["cpu_s"]))

@@ -1,4 +1,4 @@
-"""The pictures of docs/getting-started.md, from what its commands leave in out/.
+"""The pictures of docs/getting-started.md, from what its commands leave in out/; README's picture joins them.
 
 python benchmarks/getting_started_figures.py out --pictures docs/figures/getting-started
 """
@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from PIL import Image
+from PIL import Image, ImageDraw
 
 import warpsar
 from warpsar.compare.comparison import Comparison
@@ -57,6 +57,20 @@ def step(path: Path, scenes: list[tuple[str, Path]], measured: bool) -> None:
     save(figure, path)
 
 
+def loop(pictures: Path, path: Path) -> None:
+    """README's picture: the measured image and its residual, the effect that is named, and what is left beside it."""
+    before, after = (Image.open(pictures / name).convert("RGB") for name in ("measured.webp", "diagnosed.webp"))
+    heading, third = 34, before.width // 2
+    joined = Image.new("RGB", (before.width + after.width, before.height + heading), "white")
+    joined.paste(before, (0, heading))
+    joined.paste(after, (before.width, heading))
+    words = ("1  measured", "2  residual: shadows are too bright", "3  noise_floor added: speckle is left")
+    for index, each in enumerate(words):
+        ImageDraw.Draw(joined).text((index * third + 14, 9), each, "black", font_size=17)
+    joined.save(path, quality=65, method=6)
+    print(path)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("out", type=Path)
@@ -67,6 +81,7 @@ def main() -> None:
     step(options.pictures / "learned.webp", [("measured over learned surfaces", learned)], False)
     diagnosed = options.out / "diagnosed" / "scene.toml"
     step(options.pictures / "diagnosed.webp", [("measured over the diagnosed scene", diagnosed)], False)
+    loop(options.pictures, options.pictures.parent / "loop.webp")
 
 
 if __name__ == "__main__":

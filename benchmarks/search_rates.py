@@ -8,7 +8,7 @@ correlated speckle, materials that start beside the truth. In a third of them no
 things are that the search has a name for. In a third, something is wrong that no hypothesis describes; it is made here,
 by code that the library does not share. What is wrong must be seen: without it, images without speckle differ by 2 ln L
 of 100 or more. A run appends one line of JSON to runs.jsonl in the folder; runs that are there already are not made
-again. docs/diagnosis.md has the results.
+again. docs/diagnosis-rates.md has the results.
 """
 
 import json
@@ -558,7 +558,7 @@ def run(out: Path, first: int, scenes: int, jobs: int, minutes: float, max_time:
 
 @main.command()
 @click.option("-o", "--out", required=True, type=click.Path(file_okay=False, path_type=Path))
-@click.option("--write", is_flag=True, help="Write the tables into docs/diagnosis.md.")
+@click.option("--write", is_flag=True, help="Write the tables into docs/diagnosis-rates.md.")
 def table(out: Path, write: bool) -> None:
     """The rates of the runs that are there."""
     rows = stored_runs(out)

@@ -2,7 +2,7 @@
 
     python benchmarks/signatures.py --draws 8
 
-Each line of JSON is one draw. The last line counts the outcomes. docs/diagnosis.md has the result.
+Each line of JSON is one draw. The last line counts the outcomes. docs/diagnosis-method.md has the result.
 """
 
 import json

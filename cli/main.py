@@ -57,6 +57,9 @@ class LazyGroup(click.Group):
     def invoke(self, ctx: click.Context) -> Any:
         # Imports make half a million objects that stay. To look through them again and again takes 0.1 s of start-up.
         gc.set_threshold(100_000, 50, 50)
+        from warpsar.runtime import console
+
+        console.show_messages()
         try:
             return super().invoke(ctx)
         except WarpsarError as error:

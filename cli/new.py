@@ -17,7 +17,8 @@ SENSORS = (
 
 @click.command(name="new", short_help="Write a first scene file for a mesh or for buildings.")
 @click.argument("folder", type=click.Path(file_okay=False, path_type=Path))
-@click.argument("mesh", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.argument("mesh", required=False, type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.option("--example", is_flag=True, help="Copy the example scene, a street corner with its mesh. Takes no MESH.")
 @click.option("--units", type=click.Choice(UNITS), help="Unit of the mesh's coordinates. Default: guessed, and said.")
 @click.option(
     "--up",
@@ -38,7 +39,8 @@ SENSORS = (
 @click.option("--force", is_flag=True, help="Replace a scene.toml that is there.")
 def command(
     folder: Path,
-    mesh: Path,
+    mesh: Path | None,
+    example: bool,
     units: str | None,
     up: str | None,
     yes: bool,
@@ -58,11 +60,23 @@ def command(
 
     \b
     Examples:
+      warpsar new corner/ --example
       warpsar new car/ ~/models/car.obj
       warpsar new car/ ~/models/car.stl --units mm --up y
       warpsar new town/ buildings.geojson --dem dem.tif
       warpsar new port/ port.obj --sensor sentinel-1
     """
+    if example:
+        given = {"MESH": mesh, "--units": units, "--up": up, "--dem": dem, "--sensor": sensor}
+        for name, value in given.items():
+            if value is not None:
+                raise click.UsageError(f"{name}: found {value}; --example takes its own mesh and scene, leave it out")
+        from warpsar.scene.example import copy_example
+
+        click.echo(copy_example(folder, force=force))
+        return
+    if mesh is None:
+        raise click.UsageError("MESH: found none; give a mesh or a file of buildings, or --example")
     from warpsar.scene.new import new_scene
 
     click.echo(new_scene(folder, mesh, units=units, up=up, yes=yes, dem=dem, force=force, sensor=sensor))

@@ -24,7 +24,10 @@ CASES = shared_folder("WARPSAR_CASES", "cases")
 def pytest_configure() -> None:
     import warp as wp
 
+    from warpsar.runtime import console
+
     wp.config.log_level = wp.LOG_WARNING
+    console.show_messages()  # tests of library calls read what the command line would show
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

@@ -1,4 +1,4 @@
-"""Which pixels a fit uses (docs/diagnosis.md), against the rule written out pixel by pixel."""
+"""Which pixels a fit uses (docs/diagnosis-method.md), against the rule written out pixel by pixel."""
 
 from dataclasses import replace
 from pathlib import Path

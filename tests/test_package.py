@@ -1,14 +1,17 @@
 """What a user installs: the wheel holds every module, imports light, and README's commands are what the gate runs."""
 
+import json
 import os
 import shutil
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 
 import pytest
 
 from warpsar.cli.main import COMMANDS
+from warpsar.version import __version__
 
 ROOT = Path(__file__).resolve().parent.parent
 ROOMS = {"warpsar": "warpsar", "cli": "warpsar.cli", "kernels": "warpsar.kernels"}
@@ -63,7 +66,75 @@ def test_wheel_puts_nothing_but_warpsar_on_the_import_path(installed: Path) -> N
 
 def test_wheel_runs_as_a_module(installed: Path, tmp_path: Path) -> None:
     code = "import runpy; sys.argv[0] = 'warpsar'; runpy.run_module('warpsar', run_name='__main__')"
-    assert run_python(code, "--version", cwd=tmp_path, path=installed) == "warpsar 0.1.0\n"
+    assert run_python(code, "--version", cwd=tmp_path, path=installed) == f"warpsar {__version__}\n"
+
+
+MEASURE = """
+from dataclasses import replace
+from pathlib import Path
+import sys
+import numpy as np
+import warpsar
+from warpsar.io import write_tiff
+
+print(warpsar.__file__)
+scene = warpsar.Scene.load("corner/scene.toml")
+small = replace(
+    scene,
+    radar=scene.radar.model_copy(update={"polarizations": ("HH",)}),
+    grid=warpsar.Grid(shape=(40, 40), spacing_m=(1.8, 2.0)),
+    sampling=scene.sampling.model_copy(update={"rays_per_pixel": 64.0}),
+)
+truth = replace(small, effects={"noise_floor": {"level": 0.003}})
+random = np.random.default_rng(1)
+views = []
+for view, made in zip(small.views, warpsar.simulate(truth, device="cpu"), strict=True):
+    image = Path(f"corner/{view.name}.tif").resolve()
+    write_tiff(image, made.beta0["HH"] * random.gamma(16.0, 1 / 16.0, made.beta0["HH"].shape))
+    views.append(view.model_copy(update={"images": {"HH": image}, "looks": 16.0}))
+replace(small, views=views).save("corner/measured.toml")
+"""
+WITHOUT_A_CHECKOUT = [
+    ("new corner --example", ["corner/scene.obj"]),
+    ("", ["corner/measured.toml"]),
+    ("simulate corner/measured.toml -o images --device cpu", ["images/north.exr", "images/simulate.json"]),
+    ("learn corner/measured.toml -o learned --starts 1 --iterations 5 --device cpu", ["learned/scene.toml"]),
+    (
+        "diagnose corner/measured.toml -o found --starts 0 --most-effects 1 --draws 100 --device cpu",
+        ["found/report.html"],
+    ),
+    ("view corner/measured.toml -o page --device cpu", ["page/view.html"]),
+]
+"""What a user types, in an empty folder, and what must lie there then; the empty line runs `MEASURE`."""
+
+
+@pytest.mark.full
+def test_a_wheel_works_without_a_checkout(installed: Path, tmp_path: Path) -> None:
+    env = {**os.environ, "PYTHONPATH": str(installed)}
+    for line, files in WITHOUT_A_CHECKOUT:
+        command = ["-m", "warpsar", *line.split()] if line else ["-c", MEASURE]
+        done = subprocess.run([sys.executable, *command], cwd=tmp_path, env=env, capture_output=True, text=True)
+        assert done.returncode in ((0, 4) if line.startswith("diagnose") else (0,)), f"{line}: {done.stderr}"
+        if not line:
+            assert Path(done.stdout.split()[0]).is_relative_to(installed)
+        assert [name for name in files if not (tmp_path / name).stat().st_size] == []
+    assert json.loads((tmp_path / "found" / "diagnosis.json").read_text(encoding="utf-8"))["verdict"] == ["noise_floor"]
+
+
+@pytest.mark.slow
+def test_a_wheel_from_the_sdist_holds_the_same_files(installed: Path, tmp_path: Path) -> None:
+    pytest.importorskip("build", reason="build is not installed: pip install 'warpsar[dev]'")
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, tmp_path)
+    for room in ROOMS:
+        shutil.copytree(ROOT / room, tmp_path / room, ignore=shutil.ignore_patterns("__pycache__"))
+    # without a choice `build` makes the wheel from the sdist
+    subprocess.run([sys.executable, "-m", "build", "--outdir", "made", "."], cwd=tmp_path, check=True)
+    (wheel,) = (tmp_path / "made").glob("*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        names = {name for name in archive.namelist() if name.startswith("warpsar/")}
+    there = {path.relative_to(installed).as_posix() for path in (installed / "warpsar").rglob("*") if path.is_file()}
+    assert {name for name in there if "__pycache__" not in name} == names
 
 
 USER = """

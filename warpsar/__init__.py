@@ -93,4 +93,4 @@ if not TYPE_CHECKING:  # to a type checker every name that is not above is a mis
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted(__all__)

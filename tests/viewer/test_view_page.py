@@ -20,6 +20,7 @@ from warpsar.runtime import devices
 from warpsar.simulation.rays import trace_view
 from warpsar.surface.stage import Stage
 from warpsar.viewer.drapes import layover
+from warpsar.viewer.meaning import by_meaning, strong
 from warpsar.viewer.page import _levels
 from warpsar.viewer.surface import drawn, owners
 
@@ -164,3 +165,13 @@ def test_a_folder_without_a_scene_is_refused(tmp_path: Path) -> None:
     assert done.exit_code == 2
     assert "scene.toml" in done.output
     assert not (tmp_path / "out").exists()
+
+
+def test_materials_have_the_colours_of_what_they_are() -> None:
+    lawn, meadow, road, thing = (row[:3].astype(int) for row in by_meaning(["lawn", "meadow", "Asphalt.001", "thing"]))
+    assert lawn[1] > lawn[0] > lawn[2]  # green
+    assert np.ptp(road) < 15  # grey
+    assert (meadow > lawn).all()  # the second grass is paler
+    assert np.ptp(thing) > 60  # strong
+    assert by_meaning([]).shape == (0, 4)
+    assert strong(21)[20].tolist() == strong(1)[0].tolist()

@@ -85,6 +85,11 @@ class Rcs:
     segments: int
     warnings: tuple[str, ...]
 
+    def __repr__(self) -> str:
+        a, i, f, _ = self.amplitude_m.shape
+        pols = ", ".join(self.polarizations)
+        return f"<Rcs: {a} azimuths, {i} incidences, {f} frequencies, {pols}>"
+
     @property
     def rcs_m2(self) -> NDArray[np.float64]:
         """Radar cross-section 4 pi abs(A)^2 [m2]."""

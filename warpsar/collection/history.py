@@ -48,6 +48,11 @@ class Collected:
     scatterers: int
     aliased: float
 
+    def __repr__(self) -> str:
+        _, frequencies, pulses = self.samples.shape
+        pols = ", ".join(self.polarizations)
+        return f"<Collected {self.plan.view.name}: {pols}, {frequencies} frequencies, {pulses} pulses>"
+
     @property
     def frequency_hz(self) -> NDArray[np.float64]:
         return np.asarray(self.plan.start_hz + self.plan.step_hz * np.arange(self.plan.frequencies), np.float64)

@@ -43,6 +43,10 @@ class Slc:
     azimuth_m: F64
     scatterers: int
 
+    def __repr__(self) -> str:
+        size = f"{len(self.range_m)} x {len(self.azimuth_m)} pixels"
+        return f"<Slc {self.plan.view.name}: {', '.join(self.images)}, {size}, {self.plane} plane>"
+
     @property
     def plane(self) -> str:
         return "ground" if self.plan.ground else "slant"

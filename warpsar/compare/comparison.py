@@ -61,6 +61,10 @@ class Comparison:
     start_m: tuple[float, float]
     spacing_m: tuple[float, float]
 
+    def __repr__(self) -> str:
+        rows, cols = self.simulated.shape
+        return f"<Comparison {self.name}: {self.role}, {rows} x {cols} pixels, gain {self.gain:.4g}>"
+
     @property
     def view(self) -> View:
         return self.seen.view

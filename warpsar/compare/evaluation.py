@@ -37,6 +37,11 @@ class Evaluation:
     curves: list[CurveComparison] = field(default_factory=list)
     curve_verdicts: dict[str, CurveJudgement] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        pooled = {"train": self.train, "test": self.test}
+        told = "".join(f", {role} deviance {m['deviance']:.3f}" for role, m in pooled.items() if m is not None)
+        return f"<Evaluation: {len(self.images)} images, {len(self.curves)} curves{told}>"
+
     def pooled(self, role: str) -> PooledMetrics | None:
         """The metrics of a role."""
         return self.train if role == "train" else self.test

@@ -1,4 +1,4 @@
-"""Which measured pixels are compared with a model, and how their speckle is distributed (docs/diagnosis.md)."""
+"""Which measured pixels are compared with a model, and how their speckle is distributed (docs/diagnosis-method.md)."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ from warpsar.learning.identify import Identified
 def content_of(
     done: Diagnosed, moves: Sequence[ParameterMove], identified: Identified, options: DiagnoseOptions
 ) -> dict[str, Any]:
-    """JSON's types; docs/diagnosis.md explains the keys."""
+    """JSON's types; docs/diagnosis-json.md explains the keys."""
     found = done.diagnosis
     last = found.turns[-1]
     rows, columns = done.place.window

@@ -234,6 +234,9 @@ class Diagnosis:
     not_asked: list[str] = field(default_factory=list)
     on_trial: list[str] = field(default_factory=list)
 
+    def __repr__(self) -> str:
+        return f"<Diagnosis: {len(self.turns)} turns, held {', '.join(self.held) or 'nothing'}>"
+
     @property
     def observations(self) -> list[Observation]:
         """What the last turn scanned, in the order that its spot counts them."""

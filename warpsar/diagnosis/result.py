@@ -66,6 +66,10 @@ class Diagnosed:
     alternatives: list[tuple[EffectRival, Deciding]] = field(default_factory=list)
     not_established: dict[str, str] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        names = ", ".join(self.verdict) or "nothing missing"
+        return f"<Diagnosed: {names}{'; something is unexplained' if self.unexplained else ''}>"
+
     @cached_property
     def before(self) -> dict[str, RoleMetrics | None]:
         """Metrics of the declared model, fitted, on `train` and `test`."""
@@ -118,7 +122,7 @@ def of_role(images: Sequence[Comparison], role: str) -> list[Comparison]:
 def diagnose(
     scene: Scene | PathLike[str] | str, *, device: str | None = None, options: DiagnoseOptions | None = None
 ) -> Diagnosed:
-    """Run the procedure of docs/diagnosis.md on the train views. Then judge every turn's model, once, on all views.
+    """Run the procedure of docs/diagnosis-method.md on the train views. Then judge every turn's model on all views.
 
     Several processes share the work, and all return the same. Raises InputError for scenes without
     measured train views.

@@ -72,6 +72,9 @@ class Learned:
     terms: Mapping[str, Trained] = field(default_factory=dict)
     tables: Mapping[str, LearnedTable] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        return f"<Learned: {len(self.labels)} parameters, loss {self.loss:.4f}, stopped: {self.stopped}>"
+
     @property
     def train(self) -> PooledMetrics:
         """Metrics of the train views."""

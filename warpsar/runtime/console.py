@@ -1,7 +1,12 @@
-"""Messages and progress for people, on stderr."""
+"""Messages and progress for people.
+
+Messages go to the logger "warpsar": who calls the library decides whether they are seen. The command line shows them on
+stderr. Progress bars appear on a terminal alone.
+"""
 
 from __future__ import annotations
 
+import logging
 import sys
 from collections.abc import Iterable
 from pathlib import Path
@@ -20,6 +25,28 @@ DELAY_S = 1.0
 """Work that ends within it shows no bar [s]."""
 
 
+LOGGER = logging.getLogger("warpsar")
+"""Messages have the level INFO, warnings WARNING. Python shows a warning on stderr where nobody sets up logging."""
+
+
+class _Stderr(logging.Handler):
+    """Prints to what `sys.stderr` is when a message comes, not to what it was at the start."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        prefix = "warning: " if record.levelno >= logging.WARNING else ""
+        print(f"{prefix}{record.getMessage()}", file=sys.stderr)
+
+
+_STDERR = _Stderr()
+
+
+def show_messages() -> None:
+    """Show messages and warnings on stderr, as the command line does. A second call changes nothing."""
+    LOGGER.addHandler(_STDERR)
+    LOGGER.setLevel(logging.INFO)
+    LOGGER.propagate = False  # a root logger's handlers would print each a second time
+
+
 class _Quiet:
     on = False  # set by the command line's --quiet, before any work
 
@@ -34,15 +61,16 @@ def quiet() -> bool:
 
 
 def say(message: str) -> None:
-    """Print a message on stderr: stdout carries results only. Of several processes the first one speaks."""
-    if not quiet():
-        _print(message)
+    """Log a message: stdout carries results only. Of several processes the first one speaks."""
+    if not quiet() and is_first():
+        LOGGER.info("%s", message)
 
 
 def warn(warnings: Iterable[str]) -> None:
-    """Say each warning on a line of its own, on stderr."""
+    """Log each warning by itself. Of several processes the first one speaks."""
     for warning in warnings:
-        _print(f"warning: {warning}")
+        if is_first():
+            LOGGER.warning("%s", warning)
 
 
 def say_written(out: Path, *names: str) -> None:
@@ -50,13 +78,8 @@ def say_written(out: Path, *names: str) -> None:
     say(f"written to {out}: {', '.join(names)}")
 
 
-def _print(message: str) -> None:
-    if is_first():
-        print(message, file=sys.stderr)
-
-
 def say_device(device: wp.Device) -> None:
-    """Say on stderr which device does the work."""
+    """Say which device does the work."""
     where = f"{thread_count()} threads" if device.is_cpu else device.name
     say(f"device: {device.alias} ({where})")
 

@@ -26,7 +26,7 @@ from warpsar.world.world import World
 W = TypeVar("W", bound=World)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Scene(World):
     """A `World` that is read from a scene file and written to one, or made in memory.
 
@@ -34,6 +34,11 @@ class Scene(World):
     the mesh, and a list of `View`, whose measured images may be arrays. Raises InputError, one message with everything
     that does not fit together.
     """
+
+    def __repr__(self) -> str:
+        curves = f", {len(self.curves)} curves" if self.curves else ""
+        effects = f", effects {', '.join(self.effects)}" if self.effects else ""
+        return f"<Scene {self.name}: {len(self.views)} views{curves}, {len(self.mesh.faces)} triangles{effects}>"
 
     def __post_init__(self) -> None:
         where = self.path or Path(self.name)

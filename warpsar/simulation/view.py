@@ -47,6 +47,10 @@ class SimulatedView:
     looks: float | None = None
     covered: np.ndarray | None = None
 
+    def __repr__(self) -> str:
+        rows, cols = len(self.range_m), len(self.azimuth_m)
+        return f"<SimulatedView {self.name}: {', '.join(self.beta0)}, {rows} x {cols} pixels, {self.rays} rays>"
+
     def channels(self) -> dict[str, np.ndarray]:
         """What was asked for beyond the images, by name: layers, shares and sampling variances."""
         return dict(self.layers) | {f"sampling_variance_{p}": v for p, v in self.sampling_variance.items()}

@@ -18,10 +18,11 @@ from warpsar.evaluation.report_parts import RESIDUAL_COLOURS, reach_db, shown_as
 from warpsar.io.grey_scale import GREYS, GreyScale
 from warpsar.io.html import data_uri
 from warpsar.viewer.drapes import Drape
+from warpsar.viewer.meaning import by_meaning, strong
 from warpsar.viewer.surface import Drawn
 
 ASSETS = Path(__file__).parent / "assets"
-SURFACE_COLOURS, IMAGE_COLOURS, NAME_COLOURS = "viridis", "gray", "tab20"
+SURFACE_COLOURS, IMAGE_COLOURS = "viridis", "gray"
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,6 @@ def _content(states: Sequence[State]) -> dict[str, Any]:
     scales = _scales(states)
     return {
         "maps": {name: _base64(_table(name)) for name in (SURFACE_COLOURS, IMAGE_COLOURS, RESIDUAL_COLOURS)},
-        "names": _base64(_named()),
         "states": [_state(one, scales) for one in states],
     }
 
@@ -97,12 +97,16 @@ def _state(state: State, scales: dict[str, ColourScale]) -> dict[str, Any]:
         "corners": _base64(drawn.corners.astype("<f4")),
         "triangles": _base64(drawn.triangles.astype("<u4")),
         "groups": [
-            {"label": "material", "names": drawn.materials, "index": _base64(drawn.material.astype("<u2"))},
-            {"label": "object", "names": drawn.owners, "index": _base64(drawn.owner.astype("<u2"))},
+            _group("material", drawn.materials, by_meaning(drawn.materials), drawn.material),
+            _group("object", drawn.owners, strong(len(drawn.owners)), drawn.owner),
         ],
         "parameters": [_parameter(key, values) for key, values in drawn.parameters.items()],
         "views": [_view(drape, state, scales) for drape in state.drapes],
     }
+
+
+def _group(label: str, names: Sequence[str], colours: NDArray[np.uint8], index: NDArray[Any]) -> dict[str, Any]:
+    return {"label": label, "names": names, "colours": _base64(colours), "index": _base64(index.astype("<u2"))}
 
 
 def _parameter(key: str, values: NDArray[np.float64]) -> dict[str, Any]:
@@ -150,14 +154,6 @@ def _table(name: str) -> NDArray[np.uint8]:
     from matplotlib import colormaps
 
     return np.asarray(colormaps[name](np.arange(256), bytes=True))
-
-
-def _named() -> NDArray[np.uint8]:
-    """Colours for names: strong ones first, then their pale sisters."""
-    from matplotlib import colormaps
-
-    table = colormaps[NAME_COLOURS](np.arange(20), bytes=True)
-    return np.concatenate([table[::2], table[1::2]])
 
 
 def _base64(array: NDArray[Any]) -> str:

@@ -51,6 +51,10 @@ class Mesh:
     groups: dict[str, NDArray[np.int32]] = field(default_factory=dict)
     """Faces of the parts that the file names (`read_mesh` with `groups`)."""
 
+    def __repr__(self) -> str:
+        names = ", ".join(self.materials[:4]) + (", ..." if len(self.materials) > 4 else "")
+        return f"<Mesh: {len(self.faces)} triangles, {len(self.vertices)} vertices, materials {names}>"
+
     def __post_init__(self) -> None:
         given = (self.vertices, self.faces, self.face_material, self.materials, self.uv, self.vertex_scalars)
         for name, value in checked(*given).items():

@@ -17,7 +17,7 @@ from warpsar.diagnosis.scores.partly_known import NOTHING, PartlyKnown
 from warpsar.diagnosis.scores.templates import Template
 from warpsar.runtime.matmul import times, transposed_times
 
-NOT_TESTABLE = 1e-3  # share of a template's energy outside the tangent space (docs/diagnosis.md)
+NOT_TESTABLE = 1e-3  # share of a template's energy outside the tangent space (docs/diagnosis-method.md)
 # Directions of the tangent weaker than this, relative to the strongest, are rounding of float32 images.
 RANK = 1e-5
 # How far a parameter may have to move (in ln or logit) to change the images by one standard deviation of speckle. A

@@ -14,7 +14,7 @@ from warpsar.world.world import World
 
 @dataclass(frozen=True)
 class ScoreStep:
-    """A finite step from neutral along one score coordinate (docs/diagnosis.md, "Templates").
+    """A finite step from neutral along one score coordinate (docs/diagnosis-method.md, "Templates").
 
     `plus` and `minus` are tables of the effect as they would stand in scene.toml. A score test divides the difference
     of their images: (image(`plus`) - image(`minus`)) / (2 `size`). Where `minus` is None it takes

@@ -11,7 +11,6 @@ const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
 const floats = (text) => new Float32Array(bytes(text).buffer);
 const number = (value) => Number(value.toPrecision(3)).toString();
 const LIT = "lit, shadow, layover";
-const NAMES = bytes(data.names);
 const STRUCK = [[0.86, 0.84, 0.78], [0.93, 0.49, 0.13], [0.2, 0.22, 0.25]]; // lit, layover, shadow
 const SHADOW_PIXELS = 2048;
 const HOME = new Vector3(-0.45, -0.75, 0.6);
@@ -31,6 +30,7 @@ void main() {
 // mode 0: names, 1: a parameter, 2: an image of the view, 3: what the view lights
 const FRAGMENT = `
 uniform int mode;
+uniform float count; // of names
 uniform vec2 ends;
 uniform bool logarithmic;
 uniform sampler2D colours;
@@ -59,7 +59,7 @@ void main() {
   float shade = 0.62 + 0.38 * dot(normal, toEye);
   vec3 colour;
   if (mode == 0) {
-    colour = texture2D(colours, vec2((mod(carried, 20.0) + 0.5) / 20.0, 0.5)).rgb;
+    colour = texture2D(colours, vec2((carried + 0.5) / count, 0.5)).rgb;
   } else if (mode == 1) {
     float at = logarithmic ? log(max(carried, 1e-30)) : carried;
     colour = texture2D(colours, vec2(clamp((at - ends.x) / max(ends.y - ends.x, 1e-9), 0.0, 1.0), 0.5)).rgb;
@@ -94,7 +94,6 @@ function table(rgba) {
 }
 
 const colourTables = Object.fromEntries(Object.entries(data.maps).map(([name, text]) => [name, table(bytes(text))]));
-const nameTable = table(NAMES);
 const nothing = table(new Uint8Array(4));
 
 const kept = new Map(); // textures and their pixels by data URI
@@ -121,7 +120,7 @@ function picture(uri) {
 }
 
 const uniforms = {
-  mode: { value: 0 }, ends: { value: new Vector2() }, logarithmic: { value: false }, colours: { value: nameTable },
+  mode: { value: 0 }, count: { value: 1 }, ends: { value: new Vector2() }, logarithmic: { value: false }, colours: { value: nothing },
   image: { value: nothing }, layover: { value: nothing }, nearest: { value: nothing }, toRadar: { value: new Matrix4() },
   rangeAxis: { value: new Vector3() }, azimuthAxis: { value: new Vector3() }, elevationAxis: { value: new Vector3() },
   radarAxis: { value: new Vector3() }, slantRange: { value: 0 }, shape: { value: new Vector2(1, 1) },
@@ -181,9 +180,9 @@ const step = [1, 2, 5].flatMap((n) => [0.1, 1, 10, 100, 1000, 10000].map((p) => 
   .find((one) => (2 * reach) / one <= 24) ?? 50000;
 const squares = 2 * Math.ceil((1.15 * reach) / step);
 const ground = new Group();
-const lines = new GridHelper(squares * step, squares, 0x7a8590, 0xb4bcc4);
+const lines = new GridHelper(squares * step, squares, 0xa3adb6, 0xd0d6dc);
 lines.rotation.x = Math.PI / 2;
-lines.position.set(middle.x, middle.y, bounds.min.z - 0.002 * reach);
+lines.position.set(middle.x, middle.y, bounds.min.z - 0.02 * reach); // well below the ground, which would flicker with it
 const north = new ArrowHelper(new Vector3(0, 1, 0), new Vector3(middle.x, middle.y + (squares / 2) * step, lines.position.z), 0.16 * reach,
   0x1c6fb5, 0.06 * reach, 0.04 * reach);
 const northSays = label("N", 0.075 * reach);
@@ -340,9 +339,11 @@ function show() {
   const value = state.mesh.geometry.attributes.value;
   if (group) {
     uniforms.mode.value = 0;
-    uniforms.colours.value = nameTable;
+    group.table ??= table(bytes(group.colours));
+    uniforms.colours.value = group.table;
+    uniforms.count.value = group.names.length;
     value.array.set(group.index);
-    listed(group.names.map((name, k) => [name, hex([...NAMES.slice(4 * (k % 20), 4 * (k % 20) + 3)])]));
+    listed(group.names.map((name, k) => [name, hex([...bytes(group.colours).slice(4 * k, 4 * k + 3)])]));
   } else if (parameter) {
     const { low, high, log } = ends[quantity];
     uniforms.mode.value = 1;
