@@ -278,6 +278,8 @@ def test_two_reflectors_in_one_window_are_not_told_apart(tmp_path: Path) -> None
     assert (first[0], second[0]) == ("measured", "not apart")
     assert "its brightest point is CR1's" in second[1]
     assert [status for status, _ in statuses(5.0, 5.0)] == ["measured", "measured"]
+    # ISCE3's table has a device of two attitudes twice
+    assert [status for status, _ in statuses(0.0, 5.0)] == ["measured", "measured"]
 
 
 def test_a_product_that_is_named_twice_is_one(tmp_path: Path) -> None:

@@ -31,6 +31,8 @@ Status = Literal[
 ]
 CELLS_BESIDE = 1.0
 """Beyond the window: nearer than this a point has its main lobe in it."""
+ONE_PLACE_CELLS = 0.01
+"""Nearer than this two sites are one device."""
 FEWEST_PIXELS = 2.0
 """Lines and pixels that are searched, where the allowance is less."""
 
@@ -150,7 +152,8 @@ def observe(
 def told_apart(found: Sequence[ReflectorObservation], settings: PointSettings) -> list[ReflectorObservation]:
     """Observations of one product, of which those whose window holds another reflector are "not apart".
 
-    So are those whose peak is that of another reflector, which is expected nearer to it.
+    So are those whose peak is that of another reflector, which is expected nearer to it. Sites at one place are one
+    device: ISCE3's table has it twice where its attitude was changed.
     """
     made = []
     for one in found:
@@ -159,6 +162,8 @@ def told_apart(found: Sequence[ReflectorObservation], settings: PointSettings) -
             if other is one or not one.stands or not other.stands or not (one.response and other.response):
                 continue
             off = _cells(one, other, "expected")
+            if max(off) < ONE_PLACE_CELLS:
+                continue
             if max(off) < settings.window_cells + CELLS_BESIDE:
                 reason = (
                     f"{other.site.name} is expected {off[0]:.1f} cells away in azimuth and {off[1]:.1f} in slant "

@@ -113,11 +113,11 @@ class Geometry:
         A plan that is shifted or turned moves every body of one survey alike.
         """
         body = next((one for one in self.scene.objects if one.label == c.body), None)
-        sd = None if body is None else body.survey_tolerance.get(c.parameter.key)
-        if body is None or sd is None:
+        of_survey: dict[str, float] = {} if body is None else {**body.survey_tolerance}
+        if body is None or c.parameter.key not in of_survey:
             return None
         element = c.parameter.key if c.index is None else NAMES[c.parameter.key][c.index]
-        return f"{body.survey}.{element}", sd
+        return f"{body.survey}.{element}", of_survey[c.parameter.key]
 
     @property
     def labels(self) -> list[str]:
