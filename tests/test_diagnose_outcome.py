@@ -123,7 +123,7 @@ def test_two_times_are_announced(tmp_path: Path) -> None:
     device = devices.resolve_device("cpu")
     rays = Rays(Stage.of(scene, device), 64.0, 1)
     setup = replace(one := FitSetup(device, rays, {}), observations=frozen(one, one, scene))
-    long = forecast(setup, scene, DiagnoseOptions(draws=10**6))
+    long = forecast(setup, scene, DiagnoseOptions(starts=10**5))
     assert long is not None
     assert long.effect_s > long.nothing_s > LONG_S
     assert str(DiagnosisForecast(20.0, 300.0)).startswith(

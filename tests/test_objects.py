@@ -343,7 +343,7 @@ def test_uv_refuses_a_scene_with_objects(tmp_path: Path) -> None:
 def test_the_page_s_scenes(tmp_path: Path) -> None:
     """The scene of each primitive in docs/objects.md simulates, and every body is seen."""
     page = (Path(__file__).resolve().parent.parent / "docs" / "objects.md").read_text(encoding="utf-8")
-    first, whole = (part.split("```")[0] for part in page.split("```toml\n")[1:])
+    first, whole, _ = (part.split("```")[0] for part in page.split("```toml\n")[1:])
     assert Object(**tomlkit.parse(first).unwrap()["objects"][0]).label == "btr70"
     (tmp_path / "scene.toml").write_text(whole, encoding="utf-8")
     scene = Scene.load(tmp_path / "scene.toml")

@@ -113,7 +113,7 @@ class Geometry:
         A plan that is shifted or turned moves every body of one survey alike.
         """
         body = next((one for one in self.scene.objects if one.label == c.body), None)
-        of_survey: dict[str, float] = {} if body is None else {**body.survey_tolerance}
+        of_survey = {} if body is None else {str(key): sd for key, sd in body.survey_tolerance.items()}
         if body is None or c.parameter.key not in of_survey:
             return None
         element = c.parameter.key if c.index is None else NAMES[c.parameter.key][c.index]

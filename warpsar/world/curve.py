@@ -83,7 +83,9 @@ class Curve(Table):
         examples=["dihedral-15cm.obj"],
     )
     profiles: ProfileFile | None = Field(
-        default=None, description="How a file of complex range profiles is read; frequency_hz is then needed."
+        default=None,
+        description="How a file of complex range profiles is read; frequency_hz is then needed.",
+        examples=[{"bins": 256, "bin": 20, "azimuths_deg": [141.0, 33.4]}],
     )
 
     def rows(self) -> RcsTable:
