@@ -197,7 +197,7 @@ def test_a_checkpoint_of_something_else_is_refused(
     stored: dict[str, Any] = {"told": np.array("[]")}
     monkeypatch.setattr(record, "__version__", "0.0.1")
     first = record.open_record(scene, OPTIONS, tmp_path, False)
-    checkpoint.write(tmp_path, stored, first._told._tag)
+    checkpoint.write(tmp_path, stored, first._log._tag)
     record.open_record(scene, OPTIONS, tmp_path, True)  # the same run
     for other in ({"draws": 500}, {"starts": 2}, {"seed": 4}, {"family_error": 0.02}, {"most_effects": 1}):
         with pytest.raises(InputError, match="found a checkpoint of other input or options"):

@@ -15,7 +15,7 @@ from warpsar.diagnosis.held_out.box import as_box
 from warpsar.diagnosis.held_out.geometry import WIDE, likeliest, minimum, numbers, profiled
 from warpsar.diagnosis.held_out.kept import scene_content, scene_of
 from warpsar.diagnosis.held_out.search import GEOMETRY, FoldSearch, held_out
-from warpsar.diagnosis.told import Told, open_told
+from warpsar.diagnosis.run_log import RunLog, open_run_log
 from warpsar.errors import InputError
 from warpsar.measured.chips import import_chips
 from warpsar.runtime import devices
@@ -203,8 +203,8 @@ def test_a_floor_and_a_height_are_found(tmp_path: Path) -> None:
     """A box 12 % higher than declared, over a floor that nobody declared, in twelve views of one look. A search that
     goes on from all entries of its checkpoint but the last eight ends as one that never stopped."""
     scene, device = measured(tmp_path, height_m=2.24), devices.resolve_device("cpu")
-    told = Told(tmp_path, "this run")
-    found = held_out(scene, device, 2, told)
+    log = RunLog(tmp_path, "this run")
+    found = held_out(scene, device, 2, log)
     assert "noise_floor" in found.held
     assert GEOMETRY in found.held
     height = found.profiles["body.height"]
@@ -215,9 +215,9 @@ def test_a_floor_and_a_height_are_found(tmp_path: Path) -> None:
     level = found.final.effects["noise_floor"]["level"]
     assert level == pytest.approx(0.004, rel=0.5)
 
-    stored = open_told(tmp_path, "this run", True).entries
-    assert len(stored) == len(told.entries)
-    resumed = Told(entries=stored[:-8])
+    stored = open_run_log(tmp_path, "this run", True).entries
+    assert len(stored) == len(log.entries)
+    resumed = RunLog(entries=stored[:-8])
     again = held_out(scene, device, 2, resumed)
     assert json.dumps(resumed.entries) == json.dumps(stored)
     for key in ("steps", "after", "profiles", "held"):

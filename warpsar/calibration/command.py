@@ -17,7 +17,7 @@ from warpsar.calibration.engine import engine_rcs_m2
 from warpsar.calibration.explain import Explanation, explain
 from warpsar.calibration.forecast import Forecast, forecast
 from warpsar.calibration.geolocation import Geolocation, geolocation
-from warpsar.calibration.measure import ReflectorObservation, observe, told_apart
+from warpsar.calibration.measure import ReflectorObservation, observe, without_neighbours
 from warpsar.calibration.point import PointSettings
 from warpsar.calibration.presence import FoundPlace, Presence, find_place, presences, settled, standing
 from warpsar.calibration.report import write_report
@@ -95,7 +95,7 @@ def reflectors(
     for product in opened:
         date = product.date(product.grid.middle_s)
         seen = [observe(product, site, allowance_m, settings, radiometry) for site in sites_at(table, date)]
-        found += told_apart(seen, settings)
+        found += without_neighbours(seen, settings)
         bar.update()
     bar.close()
     found = _without_other_swaths(found)

@@ -149,7 +149,7 @@ def observe(
     return _measured(product, placed, expected, allowance_m, settings, radiometry)
 
 
-def told_apart(found: Sequence[ReflectorObservation], settings: PointSettings) -> list[ReflectorObservation]:
+def without_neighbours(found: Sequence[ReflectorObservation], settings: PointSettings) -> list[ReflectorObservation]:
     """Observations of one product, of which those whose window holds another reflector are "not apart".
 
     So are those whose peak is that of another reflector, which is expected nearer to it. Sites at one place are one

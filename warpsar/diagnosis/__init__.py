@@ -15,7 +15,7 @@ alternatives.py     which measurement would decide between two explanations
 established.py      which names are earned, where something is left unexplained
 role_metrics.py     metrics of all images of a role, dark pixels among them
 found.py            options, candidates, turns and the verdict
-told.py             what a run has told so far, and its checkpoint
+run_log.py          what a run has found so far, entry after entry, and its checkpoint
 
 The rooms, each importing from those below it:
 

@@ -13,7 +13,7 @@ import numpy as np
 from warpsar.compare.prediction import BOX, Advantage, summaries
 from warpsar.diagnosis.held_out.report import sentence, write_report
 from warpsar.diagnosis.held_out.search import HeldOut, held_out
-from warpsar.diagnosis.told import open_told
+from warpsar.diagnosis.run_log import open_run_log
 from warpsar.io import checkpoint
 from warpsar.learning.learn import tag_of
 from warpsar.runtime import console, once
@@ -33,15 +33,15 @@ def run(
     """Write diagnosis.json, scene.toml with what was found, and report.html into `out`. Returns the JSON's content.
 
     A checkpoint is kept there while it runs, and `resume` goes on from it. Raises InputError for a scene whose train
-    views are too few to be left out in so many parts, and as `open_told` does.
+    views are too few to be left out in so many parts, and as `open_run_log` does.
     """
     started = time.perf_counter()
     scene, out, where = opened(scene_path, out, device)
     words = ["warpsar", "diagnose", str(scene_path), "-o", str(out), "--device", where.alias, "--folds", str(folds)]
     once.join(where)
     tag = tag_of(scene, {"command": "diagnose", "version": __version__, "folds": folds})
-    told = open_told(out, tag, resume or bool(once.restarts()))
-    found = once.agree(lambda: held_out(scene, where, folds, told, time_limit_s))
+    log = open_run_log(out, tag, resume or bool(once.restarts()))
+    found = once.agree(lambda: held_out(scene, where, folds, log, time_limit_s))
 
     def write() -> dict[str, Any]:
         found.final.save(out / "scene.toml")
@@ -50,7 +50,7 @@ def run(
         write_report(out / "report.html", found, content, words, where)
         if not found.not_asked:
             checkpoint.remove(out)
-        for ahead in found.lead:
+        for ahead in found.advantages:
             console.say(ahead.words)
         console.say_written(out, "report.html", "diagnosis.json", "scene.toml")
         print(sentence(found), file=sys.stdout)
@@ -61,7 +61,8 @@ def run(
 
 def content_of(found: HeldOut) -> dict[str, Any]:
     """What diagnosis.json holds."""
-    pictures, box = (_told(next((one for one in found.lead if (one.rival == BOX) is it), None)) for it in (False, True))
+    of_rival = {one.rival == BOX: one for one in reversed(found.advantages)}
+    pictures, box = (_advantage_content(of_rival.get(is_box)) for is_box in (False, True))
     return {
         "verdict": found.held,
         "unexplained": not found.ahead,
@@ -85,5 +86,5 @@ def content_of(found: HeldOut) -> dict[str, Any]:
     }
 
 
-def _told(one: Advantage | None) -> dict[str, Any] | None:
+def _advantage_content(one: Advantage | None) -> dict[str, Any] | None:
     return None if one is None else {**asdict(one), "ahead": one.ahead, "words": one.words}

@@ -33,9 +33,9 @@ def sentence(found: HeldOut) -> str:
     said = f"found: {names}; deviance of views left out {before:.3f} -> {after:.3f}"
     if found.not_asked:
         said += "; the time was over before all was asked"
-    if not found.lead:
+    if not found.advantages:
         return said
-    rivals = "pictures of other views" + (" and a box" if len(found.lead) > 1 else "")
+    rivals = "pictures of other views" + (" and a box" if len(found.advantages) > 1 else "")
     return f"{said}; {f'predicts better than {rivals}' if found.ahead else 'not this body'}"
 
 
@@ -75,7 +75,7 @@ def _in_short(found: HeldOut) -> str:
         "predicts no better has told nothing of the body."
     ]
     said += [f"The time was over; not asked: {one}." for one in found.not_asked]
-    for ahead in found.lead:
+    for ahead in found.advantages:
         said.append(f"{ahead.words[0].upper()}{ahead.words[1:]}.".replace("+-", "±"))
     return report.section("In short", *map(report.paragraph, said), prediction_table(summaries(found.images)))
 

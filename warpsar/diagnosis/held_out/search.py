@@ -39,7 +39,7 @@ from warpsar.diagnosis.held_out.model import (
     with_other_rays,
 )
 from warpsar.diagnosis.models.change import as_declared
-from warpsar.diagnosis.told import Told
+from warpsar.diagnosis.run_log import RunLog
 from warpsar.effects.registry import get
 from warpsar.runtime import console, threads
 from warpsar.runtime.deadline import TimeUp, check, deadline
@@ -120,7 +120,7 @@ class HeldOut:
     not_asked: list[str] = field(default_factory=list)
 
     @property
-    def lead(self) -> list[Advantage]:
+    def advantages(self) -> list[Advantage]:
         """How far ahead the model is of pictures of other views, and of a box of the body's size."""
         found = [advantage(self.images), advantage(self.images, rivals=(BOX,))]
         return [one for one in found if one is not None]
@@ -128,7 +128,7 @@ class HeldOut:
     @property
     def ahead(self) -> bool:
         """Whether no rival predicts as well."""
-        return all(one.ahead for one in self.lead)
+        return all(one.ahead for one in self.advantages)
 
 
 class FoldSearch:
@@ -140,10 +140,10 @@ class FoldSearch:
         device: wp.Device,
         parts: int,
         progress: Callable[[], object],
-        told: Told | None = None,
+        log: RunLog | None = None,
         time_limit_s: float | None = None,
     ) -> None:
-        self._told, self._time_limit_s = told or Told(), time_limit_s
+        self._log, self._time_limit_s = log or RunLog(), time_limit_s
         self._model: Model
         self._box: Model | None = None
         self._doing = ""
@@ -260,7 +260,7 @@ class FoldSearch:
 
     def _kept(self, run: Callable[[], tuple[list[Scene], np.ndarray]]) -> tuple[list[Scene], np.ndarray]:
         """What `run` gives, or gave in an earlier part of the run."""
-        return self._told.following(
+        return self._log.following(
             run,
             lambda found: {"scenes": [scene_content(self.start, one) for one in found[0]], "scores": found[1].tolist()},
             lambda entry: ([scene_of(self.start, one) for one in entry["scenes"]], np.array(entry["scores"])),
@@ -268,7 +268,7 @@ class FoldSearch:
 
     def _scored_moved(self, now: Sequence[Scene], change: Callable[[Scene], Scene]) -> np.ndarray:
         """The scores of the models changed by a function."""
-        return self._told.following(
+        return self._log.following(
             lambda: self._scored([change(scene) for scene in now]), lambda found: found.tolist(), np.array
         )
 
@@ -414,7 +414,7 @@ class FoldSearch:
         def seen() -> list[tuple[float, float, dict[str, Any], bool]]:
             return list(threads.ordered([partial(glance, one) for one in some], self.device))
 
-        found = self._told.following(seen, list, lambda entry: [tuple(one) for one in entry])
+        found = self._log.following(seen, list, lambda entry: [tuple(one) for one in entry])
         for one, each in zip(some, found, strict=True):
             self._glanced[one.label] = each
         self._progress()
@@ -484,15 +484,15 @@ def _spread(names: Sequence[str], count: int) -> list[str]:
 
 
 def held_out(
-    scene: Scene, device: wp.Device, parts: int, told: Told | None = None, time_limit_s: float | None = None
+    scene: Scene, device: wp.Device, parts: int, log: RunLog | None = None, time_limit_s: float | None = None
 ) -> HeldOut:
-    """What the scene's model lacks, by train views left out in so many parts. `told` may be of an earlier part of the
+    """What the scene's model lacks, by train views left out in so many parts. `log` may be of an earlier part of the
     run; the search ends after `time_limit_s` with what it has found.
 
     Raises InputError for fewer than two train views for each part.
     """
     bar = console.progress(0, "diagnose", "step")
     try:
-        return FoldSearch(scene, device, parts, bar.update, told, time_limit_s).run()
+        return FoldSearch(scene, device, parts, bar.update, log, time_limit_s).run()
     finally:
         bar.close()

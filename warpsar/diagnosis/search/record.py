@@ -13,8 +13,8 @@ from warpsar.diagnosis.models.change import content, scene_with
 from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.left_out import ViewsLeftOut
 from warpsar.diagnosis.models.refit import Fitted
+from warpsar.diagnosis.run_log import RunLog, open_run_log
 from warpsar.diagnosis.search.confirmation import Confirmation
-from warpsar.diagnosis.told import Told, open_told
 from warpsar.effects.base.signature import Signature
 from warpsar.learning.learn import tag_of
 from warpsar.scene.scene import Scene
@@ -23,11 +23,11 @@ from warpsar.version import __version__
 
 
 class SearchRecord:
-    """What is fitted and decided so far; `told` may be of an earlier part of the run."""
+    """What is fitted and decided so far; `log` may be of an earlier part of the run."""
 
-    def __init__(self, told: Told | None = None) -> None:
-        self._told = told or Told()
-        self._stored = self._told.entries
+    def __init__(self, log: RunLog | None = None) -> None:
+        self._log = log or RunLog()
+        self._stored = self._log.entries
 
     def declared(self, setup: FitSetup, scene: Scene, fit: Callable[[], Fitted]) -> Fitted:
         """The declared model, fitted: as stored, or by `fit`."""
@@ -35,7 +35,7 @@ class SearchRecord:
         if self._stored:
             return Fitted.of(setup, scene, self._stored[0])
         fitted = fit()
-        self._told.add(fitted.content())
+        self._log.add(fitted.content())
         return fitted
 
     def turn(self, stage: int, setup: FitSetup, base: Fitted, run: Callable[[], Turn]) -> Turn:
@@ -43,7 +43,7 @@ class SearchRecord:
         if stage + 1 < len(self._stored):
             return _turn_of(self._scene, self._stored[stage + 1], setup, base)
         turn = run()
-        self._told.add(_content(self._scene, turn))
+        self._log.add(_content(self._scene, turn))
         return turn
 
     def confirmation(self, stage: int, setup: FitSetup, base: Fitted, run: Callable[[], Confirmation]) -> Confirmation:
@@ -53,17 +53,17 @@ class SearchRecord:
             asked = [Confirmed(**{**one, **_parts(one)}) for one in stored["asked"]]
             return Confirmation(_fitted(self._scene, stored["fitted"], setup, base), asked)
         found = run()
-        self._told.add(
+        self._log.add(
             {"fitted": _fitted_content(self._scene, found.fitted), "asked": [asdict(one) for one in found.asked]}
         )
         return found
 
 
 def open_record(scene: Scene, options: DiagnoseOptions, folder: Path, resume: bool) -> SearchRecord:
-    """The run as it stands; refusals as `open_told` has them."""
+    """The run as it stands; refusals as `open_run_log` has them."""
     chosen = {key: value for key, value in asdict(options).items() if key != "time_limit_s"}
     tag = tag_of(scene, {"command": "diagnose", "version": __version__, **chosen})
-    return SearchRecord(open_told(folder, tag, resume))
+    return SearchRecord(open_run_log(folder, tag, resume))
 
 
 def _content(scene: Scene, turn: Turn) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""What a run has told so far, entry after entry, and its checkpoint."""
+"""What a run has found so far, entry after entry, and its checkpoint."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from warpsar.runtime import console, once
 T = TypeVar("T")
 
 
-class Told:
+class RunLog:
     """Entries in JSON's types, in the order in which a run makes them. What a resumed run takes from them is what it
     would find again, to the bit on the CPU: JSON keeps every digit.
 
@@ -47,7 +47,7 @@ class Told:
         return found
 
 
-def open_told(folder: Path, tag: str, resume: bool) -> Told:
+def open_run_log(folder: Path, tag: str, resume: bool) -> RunLog:
     """The run as it stands: at its beginning, or with `resume` at the checkpoint in `folder`.
 
     Raises InputError where there is nothing to resume, or what is there belongs to another scene, other options or
@@ -66,4 +66,4 @@ def open_told(folder: Path, tag: str, resume: bool) -> Told:
     stored = once.find(read) if resume else None
     if resume and stored is None:
         console.say("--resume: there is no checkpoint; the run starts afresh")
-    return Told(folder, tag, None if stored is None else json.loads(str(stored["told"])))
+    return RunLog(folder, tag, None if stored is None else json.loads(str(stored["told"])))
