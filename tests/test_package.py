@@ -100,7 +100,7 @@ WITHOUT_A_CHECKOUT = [
     ("simulate corner/measured.toml -o images --device cpu", ["images/north.exr", "images/simulate.json"]),
     ("learn corner/measured.toml -o learned --starts 1 --iterations 5 --device cpu", ["learned/scene.toml"]),
     (
-        "diagnose corner/measured.toml -o found --starts 0 --most-effects 1 --draws 100 --device cpu",
+        "diagnose corner/measured.toml -o found --starts 0 --most-effects 1 --draws 400 --device cpu",
         ["found/report.html"],
     ),
     ("view corner/measured.toml -o page --device cpu", ["page/view.html"]),
@@ -108,7 +108,7 @@ WITHOUT_A_CHECKOUT = [
 """What a user types, in an empty folder, and what must lie there then; the empty line runs `MEASURE`."""
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_wheel_works_without_a_checkout(installed: Path, tmp_path: Path) -> None:
     env = {**os.environ, "PYTHONPATH": str(installed)}
     for line, files in WITHOUT_A_CHECKOUT:

@@ -73,6 +73,28 @@ def test_an_end_that_no_value_within_the_bounds_refuses_is_open(by_search: None)
     assert ends[0, 0] == pytest.approx(-0.196, rel=0.06)
 
 
+def test_an_end_is_no_nearer_than_standard_deviations_say(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A fit that ends at its start takes a straight step along a bent valley for refused: the interval of standard
+    deviations stands. Where these are infinite, both ends are open."""
+    monkeypatch.setattr(
+        profiles,
+        "levenberg_marquardt",
+        lambda problem, state, moving, *, flat: SimpleNamespace(
+            best_x=np.asarray(state.x), best_loss=problem.value([np.asarray(state.x)]), arrived=True
+        ),
+    )
+    problem: Any = Valley(1.0)
+    known = problem.identified()
+    ends = profiles.with_profiles(problem, np.zeros(2), known).ends
+    assert_allclose(ends, [[-0.196, 0.196], [-1.96, 1.96]], rtol=1e-6)
+    silent = np.diag([0.0, 1.0])
+    unknown = of_information(["soil.a", "soil.b"], silent, silent)
+    ends = profiles.with_profiles(problem, np.zeros(2), unknown).ends
+    assert ends is not None
+    assert_allclose(ends[0], [-np.inf, np.inf])
+    assert_allclose(ends[1], [-1.96, 1.96], rtol=1e-6)
+
+
 def test_correlated_speckle_widens_the_interval(by_search: None) -> None:
     """Four times the variance of the score: both ends lie twice as far away."""
     problem: Any = Valley(0.0)

@@ -4,6 +4,9 @@ Permittivity, height and correlation length of a surface trade along a valley th
 straight on where the valley turns, and its interval lies to one side of the truth. So each value is held in turn, all
 others are fitted beside it, and the interval ends where 2 ln L has fallen by what speckle alone explains in 95 % of
 images (Venzon and Moolgavkar, Applied Statistics 37, 1988).
+
+A fit beside a held value can end before its minimum, or in another valley, and the interval would then be too narrow.
+So it reaches as far as the profile or 1.96 standard deviations say, whichever is farther.
 """
 
 from __future__ import annotations
@@ -17,14 +20,14 @@ from warpsar.learning.optimise import FitState, levenberg_marquardt
 from warpsar.learning.problem import FitProblem
 
 CLOSE = 0.05  # of `Z_95`, the root of what 2 ln L falls by at an end: off by less, it is found
-FIRST = 0.5  # of a coordinate: the first step where no standard deviation is known
 MOST_TRIES, MOST_STEPS, FLAT = 6, 8, 0.05
 
 
 def with_profiles(problem: FitProblem, x: np.ndarray, identified: Identified) -> Identified:
     """`identified` with `ends`: of every element of x the 95 % interval, shape (p, 2), in the coordinates of x.
 
-    An end is infinite where no value within the bounds is refused. What correlated speckle adds to a variance (the
+    An end is infinite where no value within the bounds is refused, and where the standard deviation is infinite: a
+    valley that the data leave open may have another one beside it. What correlated speckle adds to a variance (the
     sandwich over the inverse information) divides the gain in likelihood that it is held against. Priors count.
     """
     ends = np.full((x.size, 2), [-np.inf, np.inf])
@@ -63,25 +66,31 @@ class _Valley:
         is."""
         low, high = (bound[k] for bound in self.problem.bounds)
         room = high - self.x[k] if way > 0 else self.x[k] - low
-        step = Z_95 * self.sd[k] if np.isfinite(self.sd[k]) else FIRST
-        if room <= 0.0:
+        straight = Z_95 * float(self.sd[k])
+        if not straight < room:
             return way * np.inf
+        return float(self.x[k] + way * max(straight, self._bent(k, way, straight, room)))
+
+    def _bent(self, k: int, way: float, first: float, room: float) -> float:
+        """How far the profile reaches, tried from the step `first` on; infinite beyond the `room` to the bound."""
         inside, outside = (0.0, 0.0), (room, np.inf)  # step and root on either side of the end
-        step, along = min(step, room), self._straight(k)
+        step, along = first, self._straight(k)
         for _ in range(MOST_TRIES):
             best, loss = self._profile(k, way * step, along)
             along = (best - self.x) / (way * step)
             root = self._root(k, loss)
             if abs(root - Z_95) < CLOSE * Z_95:
-                return float(self.x[k] + way * step)
+                return step
             if root < Z_95:
                 if step >= room:
-                    return way * np.inf
+                    return np.inf
                 inside = step, root
             else:
+                if step == first:
+                    return step  # refused nearer than standard deviations say: these count
                 outside = step, root
             step = self._between(inside, outside, room)
-        return float(self.x[k] + way * step)
+        return step
 
     @staticmethod
     def _between(inside: tuple[float, float], outside: tuple[float, float], room: float) -> float:
