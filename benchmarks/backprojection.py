@@ -13,8 +13,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +21,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import numpy as np
 import tables
 import warp as wp
+from collection import timed
 from simulate import machine
 
 from warpsar.formats.base.data import PhaseHistory
@@ -33,6 +32,8 @@ from warpsar.measured import plane as planes
 from warpsar.measured.plane import Plane
 from warpsar.runtime import devices
 from warpsar.world.frame import SPEED_OF_LIGHT
+
+RUNS = 3
 
 BLOCK = 256
 """Pulses of one launch."""
@@ -85,18 +86,6 @@ def double(profiles: np.ndarray, frequency: np.ndarray, per_metre: np.ndarray, o
     return image, linear
 
 
-def best(work: Callable[[], Any], runs: int = 3) -> float:
-    work()
-    wp.synchronize()
-    found = []
-    for _ in range(runs):
-        started = time.perf_counter()
-        work()
-        wp.synchronize()
-        found.append(time.perf_counter() - started)
-    return min(found)
-
-
 def measured(device: wp.Device, pixels: int, pulses: int, variants: bool) -> dict[str, Any]:
     grid = plane(pixels)
     one = history(pulses, 0.75 * pixels * 0.7)
@@ -125,7 +114,7 @@ def measured(device: wp.Device, pixels: int, pulses: int, variants: bool) -> dic
             work()
             made = image.numpy()[piece]
             ratio = _signal_to_error_db(made[..., 0] + 1j * made[..., 1], exact[0 if cubic else 1])
-            spent = best(work)
+            spent = timed(work, RUNS)["best_s"]
             name = f"{each} rows, {'cubic' if cubic else 'linear'}"
             found["ways"][name] = {"s": spent, "per_s": pixels**2 * pulses / spent, "signal_to_error_db": ratio}
             print(name, found["ways"][name], flush=True)
@@ -136,7 +125,7 @@ def measured(device: wp.Device, pixels: int, pulses: int, variants: bool) -> dic
         for pulses_there in there[:2]:
             wp.launch(backproject_kernel, flat.shape[0], inputs=[flat, pulses_there], outputs=[image], device=device)
 
-    spent = best(plain)
+    spent = timed(plain, RUNS)["best_s"]
     dots = wp.array(points.reshape(-1, 3), dtype=wp.vec3d, device=device)
     image = wp.zeros(dots.shape[0], dtype=wp.vec2, device=device)
     for pulses_there in there:

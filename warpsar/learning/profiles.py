@@ -69,25 +69,23 @@ class _Valley:
         straight = Z_95 * float(self.sd[k])
         if not straight < room:
             return way * np.inf
-        return float(self.x[k] + way * max(straight, self._bent(k, way, straight, room)))
+        return float(self.x[k] + way * self._reach(k, way, straight, room))
 
-    def _bent(self, k: int, way: float, first: float, room: float) -> float:
-        """How far the profile reaches, tried from the step `first` on; infinite beyond the `room` to the bound."""
+    def _reach(self, k: int, way: float, least: float, room: float) -> float:
+        """How far the profile reaches, `least` or farther; infinite beyond the `room` to the bound."""
         inside, outside = (0.0, 0.0), (room, np.inf)  # step and root on either side of the end
-        step, along = first, self._straight(k)
+        step, along = least, self._straight(k)
         for _ in range(MOST_TRIES):
             best, loss = self._profile(k, way * step, along)
             along = (best - self.x) / (way * step)
             root = self._root(k, loss)
-            if abs(root - Z_95) < CLOSE * Z_95:
+            if abs(root - Z_95) < CLOSE * Z_95 or (root > Z_95 and step == least):
                 return step
             if root < Z_95:
                 if step >= room:
                     return np.inf
                 inside = step, root
             else:
-                if step == first:
-                    return step  # refused nearer than standard deviations say: these count
                 outside = step, root
             step = self._between(inside, outside, room)
         return step

@@ -84,8 +84,10 @@ def with_all_anew(setup: FitSetup, turn: Turn, declared: Scene) -> FitSetup:
     if turn.fitted is None or not set(changes(declared, turn.fitted.scene)) - {turn.added}:
         return setup
     scene, found = posed_anew(setup, turn.fitted, declared)
+    if found is None:
+        return setup
     narrowed, fitted = fitted_beside(setup, scene, declared)
-    if found is None or log_likelihood(setup, fitted) <= log_likelihood(setup, turn.fitted):
+    if log_likelihood(setup, fitted) <= log_likelihood(setup, turn.fitted):
         return setup
     turn.fitted = fitted
     return narrowed
