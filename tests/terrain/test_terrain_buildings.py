@@ -114,5 +114,5 @@ def test_buildings_beyond_the_elevation_model(tmp_path: Path, capsys: pytest.Cap
     assert found.scenery.buildings is not None
     assert found.scenery.buildings.count == 1
     assert "1 of 2 buildings reach beyond" in capsys.readouterr().err
-    with pytest.raises(InputError, match=r"none of its 1 buildings lies on .*dem.tif"):
+    with pytest.raises(InputError, match=r"town.geojson: none of its 1 buildings lies where"):
         warpsar.twin(safe, model, buildings=town(tmp_path, (400.0, 0.0, 20.0, 20.0, 10.0)), **options)

@@ -83,12 +83,16 @@ def mesh_on(path: Path, ground: Callable[[TownPlan], Ground]) -> tuple[Mesh, Tow
     """Buildings alone, on a ground of the caller's, and the building that each vertex belongs to.
 
     Vertices are metres of `TownPlan.local_crs`. Of outlines they have the ground's heights; those of surfaces are the
-    file's own. Raises InputError.
+    file's own. An outline where the ground has no height (NaN) is left out. Raises InputError where none is left.
     """
     found = plan_of(path)
     made = _Made()
     made.outlines(found, ground(found))
     made.surfaces(found, 0.0)
+    if not made.vertices:
+        raise InputError(
+            f"{path}: none of its {len(found.buildings.found)} buildings lies where the ground has heights; must overlap"
+        )
     return made.mesh(), found, np.array(made.building, np.int32)
 
 
@@ -307,6 +311,8 @@ class _Made:
     def prism(self, rings: list[Ring], height: float, terrain: Ground) -> None:
         """Upright walls and a flat roof, `height` above the mean ground at the outline."""
         foot = terrain.at(rings[0])
+        if not np.isfinite(foot).all():
+            return
         top = float(foot.mean()) + height
         flat = np.concatenate(rings)
         self.add("roofs", np.column_stack([flat, np.full(len(flat), top)]), _triangles(rings))

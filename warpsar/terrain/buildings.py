@@ -108,7 +108,7 @@ def placed(path: Path, elevation: Elevation, surfaces: list[str]) -> TerrainBuil
     row, column = elevation.posts_at(longitude, latitude)
     over = np.isfinite(height) & (row >= 0) & (column >= 0)
     over &= (row <= elevation.shape[0] - 1) & (column <= elevation.shape[1] - 1)
-    total = int(owner.max()) + 1
+    total = len(plan.buildings.found)
     whole = np.ones(total, bool)
     np.logical_and.at(whole, owner, over)
     whole &= np.bincount(owner, minlength=total) > 0
