@@ -5,6 +5,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tarfile
 import zipfile
 from pathlib import Path
 
@@ -122,14 +123,24 @@ def test_a_wheel_works_without_a_checkout(installed: Path, tmp_path: Path) -> No
 
 
 @pytest.mark.slow
-def test_a_wheel_from_the_sdist_holds_the_same_files(installed: Path, tmp_path: Path) -> None:
+def test_an_sdist_is_complete_and_makes_the_same_wheel(installed: Path, tmp_path: Path) -> None:
+    """Git tells what an sdist holds, so this one is made in a repository of its own."""
     pytest.importorskip("build", reason="build is not installed: pip install 'warpsar[dev]'")
-    for name in ("pyproject.toml", "README.md", "LICENSE"):
+    folders = (*ROOMS, "tests", "docs", "examples", "benchmarks", "data")
+    for name in ("pyproject.toml", "README.md", "LICENSE", ".gitignore"):
         shutil.copy(ROOT / name, tmp_path)
-    for room in ROOMS:
-        shutil.copytree(ROOT / room, tmp_path / room, ignore=shutil.ignore_patterns("__pycache__"))
+    for folder in folders:
+        shutil.copytree(ROOT / folder, tmp_path / folder, symlinks=True, ignore=shutil.ignore_patterns("__pycache__"))
+    git = ["git", "-c", "user.name=tests", "-c", "user.email=tests@example.org"]
+    for words in (["init"], ["add", "--all"], ["commit", "--message", "all"]):  # files of no commit are not listed
+        subprocess.run([*git, *words], cwd=tmp_path, check=True, capture_output=True)
     # without a choice `build` makes the wheel from the sdist
     subprocess.run([sys.executable, "-m", "build", "--outdir", "made", "."], cwd=tmp_path, check=True)
+    (sdist,) = (tmp_path / "made").glob("*.tar.gz")
+    with tarfile.open(sdist) as archive:
+        held = {name.partition("/")[2] for name in archive.getnames()}
+    known = subprocess.run(["git", "ls-files", *folders], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert set(known.stdout.split("\n")) - {""} - held == set()
     (wheel,) = (tmp_path / "made").glob("*.whl")
     with zipfile.ZipFile(wheel) as archive:
         names = {name for name in archive.namelist() if name.startswith("warpsar/")}
@@ -177,7 +188,7 @@ error: Module has no attribute "imagine"
 def test_wheel_is_typed_for_its_users(installed: Path, tmp_path: Path) -> None:
     pytest.importorskip("mypy", reason="mypy is not installed: pip install 'warpsar[dev]'")
     (tmp_path / "user.py").write_text(USER, encoding="utf-8")
-    mypy = [sys.executable, "-m", "mypy", "--follow-imports=silent", "--cache-dir=/dev/null", "user.py"]
+    mypy = [sys.executable, "-m", "mypy", "--strict", "--follow-imports=silent", "--cache-dir=/dev/null", "user.py"]
     env = {**os.environ, "MYPYPATH": str(installed)}
     said = subprocess.run(mypy, cwd=tmp_path, env=env, capture_output=True, text=True).stdout
     lines = [line for line in said.splitlines()[:-1] if ": note: See " not in line]
