@@ -8,7 +8,6 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import false_discovery_control
 
 from warpsar.calibration.measure import ReflectorObservation
 
@@ -184,13 +183,21 @@ def bad_dates(data: Differences) -> tuple[list[BadDate], NDArray[np.bool_]]:
     if not where:
         return [], good
     found = []
-    for k in np.flatnonzero(false_discovery_control(np.array(chance)) <= FALSE_SHARE).tolist():
+    for k in _called(np.array(chance)).tolist():
         i = where[k]
         good[i] = False
         one = data.observations[i]
         words = f"{off[k]:+.1f} dB off its level: {_weather(off[k])}"
         found.append(BadDate(one.site.name, str(one.date)[:10], off[k], far[k], words, chance[k]))
     return found, good
+
+
+def _called(chances: F64) -> NDArray[np.int64]:
+    """Which chances are small enough for `FALSE_SHARE`: up to the last one below its rank's share of it (Benjamini and
+    Hochberg, 1995)."""
+    order = np.argsort(chances)
+    below = np.flatnonzero(chances[order] <= FALSE_SHARE * np.arange(1, chances.size + 1) / chances.size)
+    return np.sort(order[: below.max(initial=-1) + 1])
 
 
 def deviations(values: F64, sd: F64, least: float) -> tuple[F64, F64]:

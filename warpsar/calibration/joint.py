@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares, lsq_linear, minimize
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from warpsar.calibration.causes import Cause, Situation
 from warpsar.calibration.differences import Differences
@@ -433,7 +433,7 @@ def joint(
         gains[step.model.causes[-1].name] = step.log_likelihood - fit.log_likelihood
         fit = step
     fit = _pruned(fit, data)
-    z = float(norm.ppf(0.5 + 0.5 * CONFIDENCE))
+    z = float(ndtri(0.5 + 0.5 * CONFIDENCE))
     errors = fit.model.full(np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)))
     found = []
     for cause, x, held, error in zip(fit.model.causes, fit.values, fit.model.fixed, errors, strict=True):
