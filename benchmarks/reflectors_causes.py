@@ -97,7 +97,7 @@ def main() -> None:
             continue
         found = false = held = tied_held = counted = 0
         for seed in range(worlds):
-            joint = explain(world(off, np.random.default_rng([k, seed, 2]))).joint
+            joint = explain(world(off, np.random.default_rng([k, seed, 3]))).joint
             assert joint is not None
             named = {SAME.get(one.cause.name, one.cause.name): one for one in joint.causes}
             tied = {SAME.get(one.other, one.other) for one in joint.stands}

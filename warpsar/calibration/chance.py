@@ -17,6 +17,9 @@ DRAWS = 1000
 IMAGE_SHARES = (0.0, 0.15, 0.3, 0.5, 0.8, 1.2, 2.0)
 """Scatter from image to image over that from value to value, clutter included, at which series are compared."""
 
+SCALES = 24
+"""Of the scatter, from least to largest, with which series are made."""
+
 
 @dataclass(frozen=True)
 class ModelledValues:
@@ -44,21 +47,31 @@ def chance_of_gain(
 ) -> float:
     """The chance that values of the model `without` a further cause gain as much by the best of all that is tried.
 
-    A gain is twice the log-likelihood, less ln n for each of the `counted` parameters. Scale and share of the images
-    are fitted anew with and without the cause: where images are few, a large gain is likely. Series are made with
-    shares drawn by their restricted likelihood, so what few images leave unknown of it is not taken as known. What is
-    tried moves to first order, what the model has already stays free.
+    A gain is twice the log-likelihood, less ln n for each of the `counted` parameters. The errors' scale, between the
+    least and the largest scatter that there is, and the share of the images are fitted anew with and without the cause:
+    where values or images are few, a large gain is likely. Series are made with scales and shares drawn by their
+    restricted likelihood, so what few values leave unknown of them is not taken as known. What is tried moves to first
+    order, what the model has already stays free.
     """
     size, rng = len(data), np.random.default_rng(len(data))
-    usual = float(np.sqrt(np.mean(data.sd**2) + scatter.value**2))
+    usual, least, most = (
+        float(np.sqrt(np.mean(data.sd**2) + each**2)) for each in (scatter.value, data.least_scatter, data.most_scatter)
+    )
     several = np.bincount(data.image).max(initial=0) > 1 and np.unique(data.image).size > 2
     images = np.array(IMAGE_SHARES if several else (0.0,)) * usual
     covariances = [ErrorCovariance(data, ExtraScatter(scatter.value, float(image))) for image in images]
-    likely = np.array([_restricted(one, without) for one in covariances])
-    likely = np.exp(0.5 * (likely.min() - likely))
-    drawn = images[rng.choice(images.size, DRAWS, p=likely / likely.sum())]
+    scales = (np.geomspace(least, most, SCALES) / usual) ** 2
+    likely = np.array([_restricted(one, without, scales) for one in covariances])
+    likely = np.exp(0.5 * (likely.min() - likely)).ravel()
+    share, scale = np.divmod(rng.choice(likely.size, DRAWS, p=likely / likely.sum()), SCALES)
     series = np.sqrt(covariances[0].diagonal)[:, None] * rng.normal(size=(size, DRAWS))
-    series += drawn * rng.normal(size=(covariances[0].count, DRAWS))[data.image]
+    series += images[share] * rng.normal(size=(covariances[0].count, DRAWS))[data.image]
+    series *= np.sqrt(scales[scale])
+
+    def cost(misfit: F64 | float, volume: float) -> F64:
+        """Minus twice the log-likelihood at the best scale."""
+        fitted = np.clip(np.asarray(misfit, np.float64) / size, scales[0], scales[-1])
+        return np.asarray(misfit / fitted + size * np.log(fitted) + volume)
 
     widest = max(one.slopes.shape[1] for one in tried)
     padded = [np.pad(one.slopes, ((0, 0), (0, widest - one.slopes.shape[1]))) for one in tried]
@@ -71,10 +84,10 @@ def chance_of_gain(
         free = np.concatenate([_basis(each, widest) for each in np.split(columns, len(tried), axis=1)], axis=1)
         taken = ((free.T @ white) ** 2).reshape(len(tried), widest, DRAWS).sum(axis=1)
         volume = one.log_determinant
-        bare = np.minimum(bare, size * np.log(misfit) + volume)
-        best = np.minimum(best, size * np.log(np.maximum(misfit - taken, 1e-12 * misfit)) + volume)
-        own_bare = min(own_bare, size * np.log(_misfit(one, without)) + volume)
-        own = min(own, size * np.log(_misfit(one, chosen)) + volume)
+        bare = np.minimum(bare, cost(misfit, volume))
+        best = np.minimum(best, cost(np.maximum(misfit - taken, 0.0), volume))
+        own_bare = min(own_bare, float(cost(_misfit(one, without), volume)))
+        own = min(own, float(cost(_misfit(one, chosen), volume)))
     charged = np.array([one.counted for one in tried]) * np.log(size)
     gains = (bare - best - charged[:, None]).max(axis=0)
     gain = own_bare - own - counted * np.log(size)
@@ -95,10 +108,9 @@ def _misfit(covariance: ErrorCovariance, model: ModelledValues) -> float:
     return float(((white - basis @ (basis.T @ white)) ** 2).sum())
 
 
-def _restricted(covariance: ErrorCovariance, model: ModelledValues) -> float:
-    """Minus twice the restricted log-likelihood at the best scale."""
+def _restricted(covariance: ErrorCovariance, model: ModelledValues, scales: F64) -> F64:
+    """Minus twice the restricted log-likelihood at each scale of the variance."""
     sizes = np.linalg.svd(covariance.whitened(model.slopes), compute_uv=False) if model.slopes.shape[1] else np.ones(0)
     sizes = sizes[sizes > 1e-6 * sizes.max(initial=1e-9)]
-    free = model.left.size - sizes.size
-    scale = float(free * np.log(_misfit(covariance, model)))
-    return scale + covariance.log_determinant + 2.0 * float(np.log(sizes).sum())
+    volume = covariance.log_determinant + 2.0 * float(np.log(sizes).sum())
+    return _misfit(covariance, model) / scales + (model.left.size - sizes.size) * np.log(scales) + volume

@@ -21,6 +21,8 @@ NEIGHBOURS = 3
 """Values before, and after, that make the level at a date."""
 LEAST_SCATTER_DB = 0.1
 """What is known of no radar better, from date to date."""
+MOST_SCATTER_DB = 5.6
+"""Of power that is speckle alone: pi / sqrt(6) nepers."""
 SAME_PASS = float(np.cos(np.deg2rad(3.0)))
 """Looks that differ by less are of one pass."""
 FEWEST = 5
@@ -47,6 +49,8 @@ class Differences:
     """Which values come from one image."""
     least_scatter: float = LEAST_SCATTER_DB
     """What is known of no radar better, from date to date."""
+    most_scatter: float = MOST_SCATTER_DB
+    """What nothing that is measured scatters by more than."""
 
     @classmethod
     def of(cls, observations: Sequence[ReflectorObservation]) -> Differences:
@@ -83,6 +87,7 @@ class Differences:
             self.look[chosen],
             self.image[chosen],
             self.least_scatter,
+            self.most_scatter,
         )
 
     @property

@@ -36,6 +36,9 @@ TOGETHER = 0.9
 """Two values whose errors are correlated by more are known together only."""
 EARLY_CHANCE, UNTESTED_CHANCE = 0.05, 0.01
 """Of a gain as large by chance: for what later dates must confirm, and for what nothing tests."""
+CONFIRMED = float(np.log(10.0))
+"""Log-likelihood that a cause must add at later dates. Without the cause its likelihood ratio is 1 on average, as the
+earlier dates have set its value; so it exceeds 10 in at most 1 of 10 cases (Markov's inequality)."""
 CausesOf = Callable[[Differences], list[Cause]]
 
 
@@ -407,9 +410,9 @@ def joint(
 
     A step takes the cause that lowers the earlier dates' BIC the most, if made-up values without it gain as much by any
     cause in at most `EARLY_CHANCE` of the cases (`chance_of_gain`). It stays only if the later dates, which had no say
-    in that, become more likely. What only all dates together need is added afterwards, at `UNTESTED_CHANCE`, and has
-    no `held_gain`. At the end what is no longer needed goes. All is then fitted to all dates. `trials`: of all dates
-    and of the earlier ones, where they are there.
+    in that, become more likely by `CONFIRMED`. What only all dates together need is added afterwards, at
+    `UNTESTED_CHANCE`, and has no `held_gain`. At the end what is no longer needed goes. All is then fitted to all
+    dates. `trials`: of all dates and of the earlier ones, where they are there.
     """
     early, late = halves(data)
     chosen: dict[str, F64] = {}
@@ -469,7 +472,7 @@ def _confirmed(trials: Trials, late: Differences) -> tuple[dict[str, F64], dict[
         gained = by_image(step, late, fit.scatter) - by_image(fit, late, fit.scatter)
         gain = float(gained.sum())
         name = step.model.causes[-1].name
-        if gain <= 0.0:  # a cause that the later dates deny is tried no more
+        if gain <= CONFIRMED:  # it is tried no more on these dates: others like it would be confirmed by chance
             trials.without(name)
             continue
         error = float(np.sqrt(gained.size) * gained.std(ddof=1)) if gained.size > 1 else float("nan")
