@@ -115,6 +115,7 @@ def command(
     Examples:
       warpsar twin scene.SAFE --dem dem.tif -o twin/
       warpsar twin scene.SAFE --dem dem.tif --geoid-offset 48.6 --crop 12.45 41.95 12.55 42.05 -o twin/
+      warpsar twin scene.SAFE --dem dem.tif --landcover worldcover.tif --buildings town.geojson -o twin/
     """
     from warpsar.terrain.command import run
 

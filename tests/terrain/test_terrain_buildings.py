@@ -106,6 +106,38 @@ def test_layover_reaches_as_far_as_the_box_is_high(made: tuple[SimulatedProduct,
     assert layover.sum(axis=1) == pytest.approx([fold, fold], rel=0.02)
 
 
+def test_citygml_is_the_same_as_an_outline(made: tuple[SimulatedProduct, SimulatedProduct], tmp_path: Path) -> None:
+    """The box as a solid in UTM, with the heights of the ground and of its roof; the DEM's offset lifts both."""
+    from rasterio.warp import transform
+
+    outline, _ = made
+    east, north, wide, deep, height = BOX
+    ends = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) / 2.0
+    longitude = SITE[1] + (east + ends[:, 0] * wide) / EAST_M
+    latitude = SITE[0] + (north + ends[:, 1] * deep) / NORTH_M
+    flat_m = np.column_stack(transform("EPSG:4326", "EPSG:32633", longitude, latitude))
+    low, high = (np.column_stack([flat_m, np.full(4, SITE[2] - 50.0 + up)]) for up in (0.0, height))
+    sides = [np.stack([low[i], low[(i + 1) % 4], high[(i + 1) % 4], high[i]]) for i in range(4)]
+    polygons = "".join(
+        "<gml:surfaceMember><gml:Polygon><gml:exterior><gml:LinearRing><gml:posList>"
+        + " ".join(f"{value:.4f}" for value in np.concatenate([ring, ring[:1]]).ravel())
+        + "</gml:posList></gml:LinearRing></gml:exterior></gml:Polygon></gml:surfaceMember>"
+        for ring in [high, low[::-1], *sides]
+    )
+    path = tmp_path / "box.gml"
+    path.write_text(
+        '<CityModel xmlns:gml="http://www.opengis.net/gml" xmlns:bldg="http://www.opengis.net/citygml/building/2.0">'
+        '<gml:Envelope srsName="EPSG:32633"/><bldg:Building><bldg:lod1Solid><gml:Solid><gml:exterior>'
+        f"<gml:CompositeSurface>{polygons}</gml:CompositeSurface></gml:exterior></gml:Solid></bldg:lod1Solid>"
+        "</bldg:Building></CityModel>"
+    )
+    model = dem(tmp_path, flat(61) - 50.0)
+    found = warpsar.twin(product(tmp_path), model, geoid_offset_m=50.0, device="cpu", buildings=path)
+    for layer, least in (("area_gamma", 2e-3), ("beta0", 2e-3)):
+        off = np.nansum(np.abs(found.image[layer] - outline.image[layer]))
+        assert off < least * np.nansum(outline.image[layer])
+
+
 def test_buildings_beyond_the_elevation_model(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     safe, model = product(tmp_path), dem(tmp_path, flat(15))
     options: dict = {"geoid_offset_m": 0.0, "device": "cpu"}

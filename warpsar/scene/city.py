@@ -90,9 +90,8 @@ def mesh_on(path: Path, ground: Callable[[TownPlan], Ground]) -> tuple[Mesh, Tow
     made.outlines(found, ground(found))
     made.surfaces(found, 0.0)
     if not made.vertices:
-        raise InputError(
-            f"{path}: none of its {len(found.buildings.found)} buildings lies where there are heights; must overlap"
-        )
+        count = len(found.buildings.found)
+        raise InputError(f"{path}: none of its {count} buildings lies where the ground has heights; must overlap")
     return made.mesh(), found, np.array(made.building, np.int32)
 
 
