@@ -33,8 +33,8 @@ from warpsar.diagnosis.turn.screening import NO_DARK
 from warpsar.diagnosis.turn.sensor_search import Hypothesis, screened_sensor, sensor_candidates, worth_a_fit
 from warpsar.diagnosis.turn.settings import resettled
 from warpsar.diagnosis.turn.shortlist import by_rank, refits
-from warpsar.errors import InputError
 from warpsar.effects.registry import get
+from warpsar.errors import InputError
 from warpsar.learning.pose_search import FoundPoses
 from warpsar.runtime import console, once
 from warpsar.runtime.deadline import TimeUp, deadline
