@@ -1,6 +1,6 @@
 """Bodies of the Austin suite with something undeclared: what their curves say where the scene says otherwise.
 
-    python benchmarks/rcs_materials.py DATA -o out/ --write
+    python benchmarks/rcs_materials.py DATA -o out/
 
 DATA is the folder of measured data, with austin_rcs/ and austin_bodies/ in it. The almond (III.A all metal, III.C with
 a tip of resin) is asked about its tip, with metal and with resin declared for it. Boxes and the aircraft PRIME are of
@@ -8,7 +8,7 @@ one material, and are asked about all of it, and about each flat part that an op
 bodies that are declared as they are: nothing may be named there. 7 GHz is test, the rest train.
 
 Printed: mean abs(dB) of every curve as declared, then what was asked and the answers. `out/rcs_materials.json` has all
-numbers; --write puts the table into docs/measured-rcs.md.
+numbers, and the table is printed last.
 """
 
 from __future__ import annotations
@@ -150,7 +150,6 @@ def main() -> int:
     parser.add_argument("data", type=Path, nargs="?", default=default, help="the folder of measured data")
     parser.add_argument("-o", "--out", type=Path, required=True, help="folder for rcs_materials.json and the cache")
     parser.add_argument("--only", help="cases whose measured body has this word")
-    parser.add_argument("--write", action="store_true", help="put the table into the page")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     cache, result = options.out / "cache", {"made": tables.made(), "rows": []}
@@ -169,7 +168,7 @@ def main() -> int:
         row = {"measured": case.measured, "declared": case.declared, "mean_abs_db": errors, "right": right}
         result["rows"].append({**row, "asked": [asdict(one) for one in asked]})
         (options.out / "rcs_materials.json").write_text(json.dumps(plain(result), indent=1) + "\n", encoding="utf-8")
-    tables.publish({"rcs_materials": table(plain(result)["rows"])}, result, options.write)
+    print(table(plain(result)["rows"]))
     return 0
 
 
