@@ -1,6 +1,6 @@
 """How often causes of made-up differences are found together, falsely named, and covered by their intervals.
 
-    python benchmarks/reflectors_causes.py            # 60 worlds of each kind, some 3 minutes
+    python benchmarks/reflectors_causes.py            # 60 worlds of each kind, some 6 minutes of CPU time
     python benchmarks/reflectors_causes.py --worlds 10 --kinds loss three
     python benchmarks/reflectors_causes.py --hold-back  # how often intervals that are foretold hold later values
 

@@ -53,7 +53,7 @@ def test_three_causes_at_once() -> None:
 
 @pytest.mark.full
 def test_nothing_is_named_where_nothing_is_off() -> None:
-    """Of 5 worlds at most one has a cause (`python benchmarks/reflectors_causes.py`: 1 of 60)."""
+    """Of 5 worlds at most one has a cause (`python benchmarks/reflectors_causes.py`: 2 of 200)."""
     assert sum(bool(joint(made(lambda n, d, a, i: 0.0, seed=k), causes).causes) for k in range(5)) <= 1
 
 
