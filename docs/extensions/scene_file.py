@@ -1,10 +1,14 @@
-"""Sphinx extension: the scene file's reference, from the models that read the file and the effects' declarations.
+"""The tables of the scene file's reference, from the models that read the file and the effects' declarations.
 
-A page asks for it with the comments `<!-- scene tables -->` and `<!-- effect tables -->`.
+    python docs/extensions/scene_file.py     # writes them into docs/reference/scene-file.md
+
+They stand in the page between `<!-- scene tables -->` and `<!-- /scene tables -->`, and so for `effect tables`: a host of
+code shows them without a build. As an extension of Sphinx this file warns where they are older than the code.
 """
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import tomlkit
@@ -19,19 +23,31 @@ if TYPE_CHECKING:
     from warpsar.effects.base.effect import Effect
     from warpsar.effects.base.parameter import EffectParameter, Setting
 
+PAGE = Path(__file__).resolve().parents[1] / "reference" / "scene-file.md"
 UNITS = {"_hz": "Hz", "_deg": "deg", "per_m2": "1/m^2", "_m": "m"}
 HEADER = ("| key | value | default | example | meaning |", "|---|---|---|---|---|")
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    app.connect("source-read", _fill)
+    app.connect("source-read", _check)
     return {"parallel_read_safe": True}
 
 
-def _fill(app: Sphinx, page: str, source: list[str]) -> None:
-    for mark, made in (("<!-- scene tables -->", scene_tables), ("<!-- effect tables -->", effect_tables)):
-        if mark in source[0]:
-            source[0] = source[0].replace(mark, made())
+def _check(app: Sphinx, page: str, source: list[str]) -> None:
+    if filled(source[0]) != source[0]:
+        from sphinx.util import logging
+
+        logging.getLogger(__name__).warning(f"{page}: tables differ from the code: run {Path(__file__).name}")
+
+
+def filled(page: str) -> str:
+    """The page with the tables of this version."""
+    for name, made in (("scene tables", scene_tables), ("effect tables", effect_tables)):
+        first, last = f"<!-- {name} -->\n", f"<!-- /{name} -->\n"
+        if first in page:
+            before, _, rest = page.partition(first)
+            page = f"{before}{first}\n{made()}\n{last}{rest.partition(last)[2]}"
+    return page
 
 
 def scene_tables() -> str:
@@ -147,3 +163,7 @@ def _setting(effect: Effect, setting: Setting) -> str:
 
 def _cells(*cells: str) -> str:
     return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
+
+
+if __name__ == "__main__":
+    PAGE.write_text(filled(PAGE.read_text(encoding="utf-8")), encoding="utf-8", newline="\n")

@@ -44,6 +44,13 @@ def keys_of(table: dict[str, Any]) -> Iterator[str]:
         yield from (f"{key}.{inner}" for inner in each["properties"]) if "properties" in each else (key,)
 
 
+def test_the_page_has_the_tables_of_this_version(extension: ModuleType) -> None:
+    """So that it reads the same on a host of code. `python docs/extensions/scene_file.py` writes them."""
+    page = extension.PAGE.read_text(encoding="utf-8")
+    assert page.count("| key | value | default | example | meaning |") > 20
+    assert extension.filled(page) == page
+
+
 def test_every_key_has_value_default_example_and_meaning(extension: ModuleType) -> None:
     tables = dict(scene_schema()["properties"])
     del tables["effects"]
