@@ -17,7 +17,7 @@ from warpsar.cli import options
     "--out",
     required=True,
     type=click.Path(file_okay=False, path_type=Path),
-    help="Folder for diagnosis.json, scene.toml with the effects that were found, and report.html; made if missing.",
+    help="Folder for diagnosis.json, report.html, and scene.toml with the named effects; made if missing.",
 )
 @options.device
 @click.option(
@@ -48,7 +48,7 @@ from warpsar.cli import options
     "--time-limit",
     type=click.FloatRange(min=0, min_open=True),
     metavar="MINUTES",
-    help="End the search after so long with the best verdict so far, and say what was not asked; --resume goes on.",
+    help="End the search after this time with the best verdict so far, and list the open questions; --resume goes on.",
 )
 @click.option(
     "--folds",
@@ -73,9 +73,9 @@ def command(
 ) -> None:
     """Fit SCENE to its train views, find the effect that its model lacks, add it and fit again.
 
-    Views with the role test are not fitted. The error on them is reported before and after.
+    No fit uses the views with the role test. The error on them is reported before and after.
 
-    Exit status: 0 where nothing but speckle is left, 4 where something is left that nothing found explains.
+    Exit status: 0 if only speckle is left, 4 if a part of the residual has no explanation.
 
     \b
     Examples:

@@ -27,7 +27,10 @@ TAPERS = ("none", "hann", "taylor")
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
     help="The scene.toml to edit.",
 )
-@click.option("--view", help="Name of the view, for images. If it is missing, it is made from the file's own geometry.")
+@click.option(
+    "--view",
+    help="Name of the view, for images. A view that the scene does not have is made from the file's own geometry.",
+)
 @click.option(
     "--table",
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
@@ -44,7 +47,7 @@ TAPERS = ("none", "hann", "taylor")
 @click.option(
     "--quantity",
     type=click.Choice(("amplitude", "power")),
-    help="What the real numbers of a picture are; it is never guessed.",
+    help="Whether the numbers of a picture are amplitude or power; never guessed.",
 )
 @click.option("--amplitude", is_flag=True, help="Short for --quantity amplitude.")
 @click.option(
@@ -107,7 +110,7 @@ TAPERS = ("none", "hann", "taylor")
     "--role",
     type=click.Choice(("train", "test")),
     show_default="train",
-    help="What curves of radar cross-section, the view, or the views of a table, are for.",
+    help="Role of the view, of the views of a table, or of curves of radar cross-section.",
 )
 @click.option(
     "--train",
@@ -150,9 +153,9 @@ def command(
 ) -> None:
     """Bring the measurement SOURCE onto the grid of a view, and declare it in the scene file.
 
-    Many pictures and a table of their angles (--table) come in one call.
+    With --table one call brings in many pictures and a table of their angles.
 
-    Phase history, of which several files may be one aperture, is focused by backprojection. Complex and detected images
+    Phase history is focused by backprojection; several files may be one aperture. Complex and detected images
     are resampled. The image is written beside the scene file, as float32 linear power.
 
     Curves of radar cross-section (CSV, or the Austin suite's text) need no view: they become `[[curves]]`.

@@ -92,6 +92,6 @@ def main() -> None:
       warpsar learn scene.toml -o learned/
 
     Exit status: 0 done; 1 the command ran, and its result is a failure; 2 bad input or usage; 3 the device is
-    not there; 4 diagnose left something unexplained. Results go to stdout and to files. Messages and progress go
-    to stderr.
+    not there; 4 diagnose left a part of the residual unexplained. Results go to stdout and to files. Messages and
+    progress go to stderr.
     """

@@ -19,11 +19,13 @@ SENSORS = (
 @click.argument("folder", type=click.Path(file_okay=False, path_type=Path))
 @click.argument("mesh", required=False, type=click.Path(exists=True, dir_okay=False, path_type=Path))
 @click.option("--example", is_flag=True, help="Copy the example scene, a street corner with its mesh. Takes no MESH.")
-@click.option("--units", type=click.Choice(UNITS), help="Unit of the mesh's coordinates. Default: guessed, and said.")
+@click.option(
+    "--units", type=click.Choice(UNITS), help="Unit of the mesh's coordinates. Default: guessed, and printed."
+)
 @click.option(
     "--up",
     type=click.Choice(UP),
-    help="Axis of the mesh's file that points up. Default: as its format has it, Y for glTF, else Z.",
+    help="Axis of the mesh's file that points up. Default: Y for glTF, else Z.",
 )
 @options.yes
 @click.option(
@@ -36,7 +38,7 @@ SENSORS = (
     type=click.Choice(SENSORS),
     help="Begin with frequency, resolution and noise of a public sensor. Default: X band, pixels that fit the mesh.",
 )
-@click.option("--force", is_flag=True, help="Replace a scene.toml that is there.")
+@click.option("--force", is_flag=True, help="Replace an existing scene.toml.")
 def command(
     folder: Path,
     mesh: Path | None,

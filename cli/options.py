@@ -19,7 +19,7 @@ device = click.option(
 
 resume = click.option("--resume", is_flag=True, help="Continue from the checkpoint in the output folder.")
 
-yes = click.option("--yes", is_flag=True, help="Take a mesh that is more than 5000 m across for what it says it is.")
+yes = click.option("--yes", is_flag=True, help="Accept a mesh that is more than 5000 m across.")
 
 
 def quiet() -> click.Option:

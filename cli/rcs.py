@@ -60,7 +60,7 @@ from warpsar.cli import options
     "--max-memory",
     type=click.FloatRange(min=0, min_open=True),
     metavar="GIB",
-    help="Memory of the sweep. What does not fit is refused before the work.",
+    help="Memory of the sweep. A sweep that does not fit is refused before the work.",
 )
 @options.device
 def command(

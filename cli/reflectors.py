@@ -33,7 +33,7 @@ from warpsar.formats import registry
 @click.option(
     "--radiometry",
     type=click.Choice(["beta0", "sigma0", "gamma0"]),
-    help="What the power of an image is, for products that do not say (GAMMA).",
+    help="Quantity of the image's power, for products that do not state it (GAMMA).",
 )
 @click.option(
     "--allowance",
@@ -55,7 +55,7 @@ from warpsar.formats import registry
 @click.option(
     "--hold-back",
     metavar="DATE",
-    help="Dates from this one on decide nothing: the earlier ones foretell their RCS. Such as 2024-06-01.",
+    help="Dates from this one on, such as 2024-06-01, are used for no fit: the earlier dates predict their RCS.",
 )
 @click.option(
     "--format",

@@ -37,7 +37,7 @@ PRODUCTS = ("beta0", "slc", "phase-history")
     multiple=True,
     default=("exr",),
     show_default=True,
-    help="Of the images; say it again for several. One that needs an extra says which.",
+    help="Format of the images; may be given several times. A format that needs an extra names it.",
 )
 @click.option(
     "--azimuths", metavar="START:STOP:STEP", help="Azimuths of the views [deg], in place of the file's views; or A,B,C."
@@ -98,7 +98,7 @@ def command(
     """Simulate every view of SCENES, each a scene.toml beside its mesh.
 
     With several scenes, or with --azimuths or --incidences, images go to folders of a thousand each, and index.csv
-    lists them. Images that are there already are kept.
+    lists them. Images of an earlier run are kept if their inputs are the same.
 
     \b
     Examples:

@@ -37,15 +37,14 @@ from warpsar.formats import registry
     nargs=4,
     type=float,
     metavar="WEST SOUTH EAST NORTH",
-    help="The part to simulate, longitudes and latitudes [deg]. Default: all that the DEM covers.",
+    help="The part to simulate, longitudes and latitudes [deg]. Default: the whole DEM.",
 )
 @click.option(
     "--surface",
     default="grass",
     show_default=True,
     metavar="NAME",
-    help="What the ground is, where --landcover says nothing: a surface of the library (`warpsar materials` lists "
-    "them).",
+    help="Surface of the ground where --landcover gives none: one of the library (`warpsar materials` lists them).",
 )
 @click.option(
     "--landcover",
@@ -57,7 +56,7 @@ from warpsar.formats import registry
     default="worldcover",
     show_default=True,
     metavar="NAME|FILE",
-    help="What its classes are: worldcover (ESA), corine, or a TOML file with [surfaces] and lines such as 10 = "
+    help="Classes of --landcover: worldcover (ESA), corine, or a TOML file with [surfaces] and lines such as 10 = "
     '"grass".',
 )
 @click.option(
@@ -73,7 +72,7 @@ from warpsar.formats import registry
 @click.option(
     "--radiometry",
     type=click.Choice(["beta0", "sigma0", "gamma0"]),
-    help="What the power of the image is, for products that do not say (GAMMA).",
+    help="Quantity of the image's power, for products that do not state it (GAMMA).",
 )
 @click.option(
     "--format",

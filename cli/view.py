@@ -21,11 +21,11 @@ from warpsar.cli import options
 @click.option(
     "--before",
     type=click.Path(exists=True, path_type=Path),
-    help="A scene to compare with, as the one that learn or diagnose began with.",
+    help="A scene to compare with, such as the one before learn or diagnose.",
 )
 @options.device
 def command(scene: Path, out: Path, before: Path | None, device: str | None) -> None:
-    """Show SCENE in 3D in a browser: its mesh, the views, and what each of them sees.
+    """Show SCENE in 3D in a browser: its mesh, the views, and the surfaces that each view lights.
 
     SCENE is a scene file, or the folder that learn or diagnose wrote. The page is one file and fetches nothing.
     Measured images, the model's and their residual are laid on the surface that reflects them.

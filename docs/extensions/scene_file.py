@@ -2,8 +2,8 @@
 
     python docs/extensions/scene_file.py     # writes them into docs/reference/scene-file.md
 
-They stand in the page between `<!-- scene tables -->` and `<!-- /scene tables -->`, and so for `effect tables`: a host of
-code shows them without a build. As an extension of Sphinx this file warns where they are older than the code.
+They stand in the page between `<!-- scene tables -->` and `<!-- /scene tables -->`, and so for `effect tables`. So a host
+of code shows them without a build. As an extension of Sphinx this file warns where they are older than the code.
 """
 
 from __future__ import annotations
