@@ -2,7 +2,7 @@
 
     python docs/extensions/scene_file.py     # writes them into docs/reference/scene-file.md
 
-They stand in the page between `<!-- scene tables -->` and `<!-- /scene tables -->`, and so for `effect tables`. So a host
+They stand in the page between `<!-- scene tables -->` and `<!-- /scene tables -->`, `effect tables` alike. So a host
 of code shows them without a build. As an extension of Sphinx this file warns where they are older than the code.
 """
 
