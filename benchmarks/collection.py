@@ -300,7 +300,7 @@ WORK = {"copy": copy, "deposit": deposit, "town": town, "focus": focus, "batch":
 
 
 def written(found: dict[str, Any]) -> list[tuple[str, str]]:
-    """Rows of the table in docs/collections.md."""
+    """Rows of the table in docs/benchmarks.md."""
     rows = []
     if "deposit" in found:
         one = found["deposit"]

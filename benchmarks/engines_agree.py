@@ -2,7 +2,7 @@
 
     python benchmarks/engines_agree.py --out out/engines                # what is there already is not made again
     python benchmarks/engines_agree.py --out out/engines --scene town
-    python benchmarks/engines_agree.py --out out/engines --write        # and the table of docs/coherent.md
+    python benchmarks/engines_agree.py --out out/engines --write        # and the table of docs/coherent-checks.md
 
 `warpsar simulate` adds powers; complex images (SLC) add fields, and have speckle. A look is an azimuth and a frequency.
 `LOOKS` looks lie within one aperture and one band on either side of the scene's own: over them the parts of smooth

@@ -5,7 +5,7 @@
 DATA is the folder of measured data, with hussar_dihedrals/ in it. The scene is examples/measured/dihedrals. The closed
 form is that of a far radar: two bounces send like a plate of the area 2 a b sin(45 deg - |angle|), and each plate has
 its own pattern. Its level is fitted to the train curve as the engine's is, and, in the last column, to the very curve
-that it is judged on. `out/rcs_dihedrals.json` has it all; --write puts the table into docs/measured-rcs.md.
+that it is judged on. `out/rcs_dihedrals.json` has it all; --write puts the table into docs/measured-record.md.
 """
 
 from __future__ import annotations

@@ -61,7 +61,7 @@ def body(out: Path, work: Work, final: Sequence[ObservedCurve], predict: Callabl
 
 
 def tables_of(result: Mapping[str, Any]) -> dict[str, str]:
-    """The three tables of docs/measured-rcs.md."""
+    """The three tables of docs/measured-record.md."""
     return {"rcs.verdicts": verdicts(result), "rcs.errors": errors(result), "rcs.learned": learned(result)}
 
 

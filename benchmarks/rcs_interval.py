@@ -9,7 +9,7 @@ Raftery, JASA 102, 2007): the width, and 40 times what a value lies outside. Eac
 interval of constant width in dB about the model, and a constant error in m2, fitted in the same way.
 
 Printed for each body left out: how many of its values lie inside the 95 % interval, and the score.
-`out/rcs_interval.json` has it all; --write puts the table into docs/coherent.md.
+`out/rcs_interval.json` has it all; --write puts the table into docs/coherent-checks.md.
 """
 
 from __future__ import annotations

@@ -293,7 +293,7 @@ def noise(diagnosis: dict[str, Any]) -> str:
 
 
 def tables_of(content: dict[str, Any]) -> dict[str, str]:
-    """The tables of docs/measured-others.md."""
+    """The tables of docs/measured-record.md."""
     chip, diagnosis = content["chip"], content["diagnosis"]
     edges = [[axis, t["edge_over_middle_db"], t["none"], t["taylor"], t["hann"]] for axis, t in chip["taper"].items()]
     levels = [

@@ -2,7 +2,7 @@
 
 A deposit spreads each scatterer over WIDTH bins of a grid twice as fine as the samples' spectrum needs, with the
 "exponential of a semicircle" (Barnett, Magland, af Klinteberg, SIAM J. Sci. Comput. 41(5), 2019). Its transform is
-divided out after the FFT. What is left of the error stands in docs/collections.md.
+divided out after the FFT. What is left of the error stands in docs/coherent-checks.md.
 """
 
 import numpy as np

@@ -7,7 +7,7 @@ logarithm of the rest is a quadratic spline along each axis, and a hit reads 81 
 and they are the exact ones of what is interpolated.
 
 The lattice does not depend on the surface. B of a smooth surface grows with h^4, so below the least kh the spline stays
-as it is there. Beyond any other end a hit has the integral. docs/scattering.md says how far the spline is from it.
+as it is there. Beyond any other end a hit has the integral. docs/scattering-checks.md says how near the spline is.
 """
 
 import math

@@ -5,7 +5,7 @@ double scattering. B is an integral over eighty waves. So both are computed once
 wave, and every hit interpolates. Powers of cos and sin theta are taken out first. The logarithm of the rest is
 interpolated by the cubic through four nodes, equal steps apart in sqrt(cos) - sqrt(1 - cos). So they are dense at both
 ends, for the lobe about the normal and for the shadow. The same weights on the nodes' slopes of the logarithm give the
-exact derivative of what is interpolated. docs/scattering.md says how far it is from the integral.
+exact derivative of what is interpolated. docs/scattering-checks.md says how far it is from the integral.
 """
 
 from functools import cache

@@ -14,7 +14,7 @@ SITE = np.array([40.0, -84.0, 230.0])  # latitude, longitude [deg], height [m]
 
 @dataclass(frozen=True)
 class Pass:
-    """A straight, level, broadside pass: directions as in docs/simulate.md, its middle at `azimuth_deg`."""
+    """A straight, level, broadside pass: directions as in docs/reference/scene-file.md, its middle at `azimuth_deg`."""
 
     azimuth_deg: float = 60.0
     incidence_deg: float = 40.0

@@ -1,4 +1,4 @@
-"""What a rough plane scatters of a plane wave to another direction (docs/effects.md, multibounce)."""
+"""What a rough plane scatters of a plane wave to another direction (docs/checks.md, multiple bounces)."""
 
 import warp as wp
 

@@ -1,4 +1,4 @@
-"""Dubois, van Zyl and Engman 1995, fitted to bare soils; HH and VV alone (docs/scattering.md)."""
+"""Dubois, van Zyl and Engman 1995, fitted to bare soils; HH and VV alone (docs/scattering-checks.md)."""
 
 from typing import Any
 

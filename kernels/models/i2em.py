@@ -1,4 +1,4 @@
-"""Improved integral equation model (I2EM) in backscatter, as differentiable Warp functions (docs/scattering.md).
+"""Improved integral equation model (I2EM) in backscatter, as differentiable Warp functions (docs/scattering-checks.md).
 
 Sources: Fung, Li and Chen 1992 (IEM); Fung, Liu, Chen and Tsay 2002 (its phases); Fung and Chen 2010, chapters 3 and 4.
 In backscatter the published coefficients come down to two amplitudes for each polarization: Bragg's for the first power

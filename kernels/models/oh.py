@@ -1,4 +1,4 @@
-"""Oh 2004, fitted to bare soils, with the moisture of Topp, Davis and Annan 1980 (docs/scattering.md)."""
+"""Oh 2004, fitted to bare soils, with the moisture of Topp, Davis and Annan 1980 (docs/scattering-checks.md)."""
 
 from typing import Any
 

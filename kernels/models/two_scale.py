@@ -1,4 +1,4 @@
-"""Small perturbation on tilted facets, in closed form: roughness at two scales (docs/scattering.md).
+"""Small perturbation on tilted facets, in closed form: roughness at two scales (docs/scattering-checks.md).
 
 Sources: Valenzuela 1968 and Wright 1968 (Bragg's waves on tilted facets). Slopes of the large scale are Gaussian, of
 one variance v along both axes. The slope t in the plane of incidence is at three Gauss-Hermite points. The slope

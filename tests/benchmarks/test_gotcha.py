@@ -325,7 +325,7 @@ def test_one_view_of_slicy_cannot_tell_its_resolution_from_detail(
     loop: Any, measured_data: Path, tmp_path: Path
 ) -> None:
     """The header states a resolution. On a body of guessed shape detail explains as much, so both names are given and
-    something is left (docs/measured-others.md). Which of them comes first depends on how long the search is."""
+    something is left (docs/measured-record.md). Which of them comes first depends on how long the search is."""
     slicy = script("slicy")
     path = slicy.prepare(measured_data, tmp_path / "scene", "cpu")
     short = DiagnoseOptions(starts=0, draws=400, refits=1, most_effects=1)

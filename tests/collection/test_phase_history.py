@@ -148,8 +148,8 @@ def test_a_point_has_the_responses_of_theory(window: str, axis: int, device: str
 
 
 def test_a_trihedral_is_a_point_in_its_corner() -> None:
-    """12 pi a^4 / lambda^2, in the corner, to 0.3 dB: coherent.md allows 0.1 dB at its axis, and a path of 3 degrees of
-    aperture loses another 0.1 dB."""
+    """12 pi a^4 / lambda^2, in the corner, to 0.3 dB: coherent-checks.md allows 0.1 dB at its axis, and a path of 3
+    degrees of aperture loses another 0.1 dB."""
     a = 10 * WAVELENGTH
     look = {"azimuth_deg": 45.0, "incidence_deg": float(np.rad2deg(np.arccos(1 / np.sqrt(3))))}
     made = scene(
@@ -181,7 +181,7 @@ def test_both_sum_over_one_look_as_the_engine(device: str) -> None:
     (found,) = warpsar.phase_history(made, device=device)
     sample = found.samples[:, found.plan.frequencies // 2, 1] / np.sqrt(4 * np.pi)
     wanted = warpsar.rcs(made, 30.0, 50.0, found.frequency_hz[found.plan.frequencies // 2], device=device)
-    # Flat regions have their exact border in the one, tubes of lambda / 10 in the other: coherent.md's 0.1 to 0.2 dB.
+    # Flat regions have their exact border in the one, tubes of lambda / 10 in the other, 0.1 to 0.2 dB (coherent-checks.md).
     assert sample == pytest.approx(wanted.amplitude_m[0, 0, 0], abs=0.02 * np.abs(wanted.amplitude_m).max())
 
 

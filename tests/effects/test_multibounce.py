@@ -53,7 +53,7 @@ def layers_of(scene: Scene) -> dict[str, np.ndarray]:
     return {name: a.numpy().astype(float).reshape(render.shape) for name, a in render.layers.items()}
 
 
-# ---- a path tracer in NumPy: every triangle for every ray, straight from docs/effects.md ----
+# ---- a path tracer in NumPy: every triangle for every ray, straight from docs/checks.md ----
 
 
 def fresnel(polarization: str, cos: Any, eps: Any) -> Any:

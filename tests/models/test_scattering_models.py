@@ -267,7 +267,7 @@ def test_full_wave_table() -> None:
 
 @pytest.mark.measured
 def test_choices_that_the_page_gives_numbers_for() -> None:
-    """docs/scattering.md, errata: the transition function, and evanescent waves in HV."""
+    """docs/scattering-checks.md, errata: the transition function, and evanescent waves in HV."""
     table = np.loadtxt(MEASURED / "nmm3d" / "NMM3D_LUT_NRCS_40degree.dat")
     off, lost = [], []
     for incidence, ratio, re, im, height, vv, hh, _hv in table:

@@ -49,7 +49,7 @@ def level_db(polarization: str, incidence_deg: float, slope_variance: float) -> 
 
 @pytest.mark.parametrize(("slope", "like_db", "crossed_db"), [(0.1, 0.03, 0.3), (0.2, 0.3, 0.4), (0.28, 0.7, 0.5)])
 def test_the_mean_over_slopes(slope: float, like_db: float, crossed_db: float) -> None:
-    """As docs/scattering.md says: the turns are taken as Gaussian, and slopes in the plane of incidence by 3 points."""
+    """docs/scattering-checks.md: turns are taken as Gaussian, and slopes in the plane of incidence by 3 points."""
     for incidence_deg in (20.0, 30.0, 40.0, 50.0, 60.0, 75.0):
         expected = mean_over_slopes_db(incidence_deg, slope)
         for polarization, apart_db in (("HH", like_db), ("VV", like_db), ("HV", crossed_db)):

@@ -74,7 +74,7 @@ class Table:
 def test_level_ground_has_the_integral(spectrum: str, eps: complex, kh: float, kl: float) -> None:
     """The same sixteen rings and five spokes, in NumPy: what is left is the table's interpolation."""
     if spectrum == "gaussian" and kl > 5:
-        pytest.skip("the quadrature does not hold beyond kl = 5: docs/scattering.md")
+        pytest.skip("the quadrature does not hold beyond kl = 5: docs/scattering-checks.md")
     theta = np.radians(np.linspace(0.7, 80.0, 41))
     found = Table("cpu", eps, kh, kl).at(theta, 1.0, Spectrum[spectrum.upper()])[0]
     expected = [reference.i2em_hv(one, eps, kh, kl, spectrum, rings=16, spokes=5) for one in theta]

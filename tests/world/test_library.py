@@ -222,7 +222,7 @@ def test_sigma0_of_the_list_is_the_closed_form() -> None:
     ("name", "beside", "apart_db"), [("grass", "grass", 4.0), ("soil_wet", "soil", 2.5), ("soil_dry", "soil", 1.0)]
 )
 def test_grass_and_soil_beside_the_handbook(name: str, beside: str, apart_db: float) -> None:
-    """C band, HH and VV, 20 to 60 deg: as far from the handbook's means as docs/materials.md says. The handbook's sites
+    """C band, HH and VV, 20 to 60 deg: as far from the handbook's means as docs/checks.md says. The handbook's sites
     differ among themselves by more."""
     angle = np.arange(20.0, 61.0, 5.0)
     for polarization in ("HH", "VV"):
@@ -240,7 +240,7 @@ def test_grass_and_soil_beside_the_handbook(name: str, beside: str, apart_db: fl
     ],
 )
 def test_snow_beside_the_handbook(name: str, beside: str, band: str, apart_db: float) -> None:
-    """HH and VV, 20 to 60 deg: darker than the handbook's means by as much as docs/materials.md says."""
+    """HH and VV, 20 to 60 deg: darker than the handbook's means by as much as docs/checks.md says."""
     angle = np.arange(20.0, 61.0, 5.0)
     for polarization, found in levels(name, angle.tolist())[band].items():
         if polarization != "HV":
@@ -290,7 +290,7 @@ def means(name: str, band: str, angle: np.ndarray) -> dict[str, dict[str, np.nda
 
 
 def test_levels_at_40_degrees_lie_within_their_spread_of_published_means() -> None:
-    """HH and VV at C, X and Ku; at L surfaces are darker than that (docs/materials.md). Dry snow says what it lacks."""
+    """HH and VV at C, X and Ku; at L surfaces are darker than that (docs/checks.md). Dry snow says what it lacks."""
     at, held = np.array([40.0]), set()
     for name, one in SURFACES.items():
         own = levels(name, [40.0])
@@ -313,7 +313,7 @@ def test_every_surface_says_its_spread_and_what_is_a_choice() -> None:
 
 
 def test_roads_are_darker_than_grass_as_in_the_gotcha_scene() -> None:
-    """X band, HH, 44 deg: the road by 5.1 dB in its speckled image, read off by 8 dB. docs/materials.md says so."""
+    """X band, HH, 44 deg: the road by 5.1 dB in its speckled image, read off by 8 dB. docs/checks.md says so."""
     asphalt, grass = (levels(name, [44.0])["X"]["HH"][0] for name in ("asphalt", "grass"))
     assert 5.0 <= grass - asphalt <= 11.0
     assert -23.0 < asphalt < -17.0

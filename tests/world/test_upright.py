@@ -110,6 +110,6 @@ def test_our_own_scenes_have_z_up() -> None:
 
 @pytest.mark.measured
 def test_a_vehicle_with_y_up_is_seen() -> None:
-    """A drawing of the BTR-70, whose file has Y up (docs/measured-btr70.md)."""
+    """A drawing of the BTR-70, whose file has Y up (docs/measured-record.md)."""
     mesh = read_mesh(MEASURED / "mstar_btr70" / "BTR70.obj")
     assert any("seems to have Y up" in warning for warning in mesh.warnings)

@@ -134,7 +134,7 @@ def rcs_gradients(
 
     `pose` moves all that there is, and turns it about the reference point. Held are which faces an edge has, which
     piece of an edge and which scatterer the radar sees, and how many scatterers there are. Borders of light move with
-    the edges that make them. docs/coherent.md says more.
+    the edges that make them. docs/coherent-checks.md says more.
 
     Raises InputError as `warpsar.rcs` does, and for parameters that have no derivative; DeviceError.
     """

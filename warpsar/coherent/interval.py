@@ -14,7 +14,7 @@ s is a bound more than a level: for one polarization of an ogive it holds, and f
 below. So the low end takes the error to be no larger than the value itself, as long as that is above s / 10.
 
 The three numbers were found on measured bodies, bodies of revolution and Mie's series (`benchmarks/rcs_interval.py`,
-docs/coherent.md).
+docs/coherent-checks.md).
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ from warpsar.surface.stage import Stage
 from warpsar.world.tables import Polarization
 
 STEP_M = 2e-3
-"""How far the vertex moves that moves most: the error of a derivative is then under 1e-3 (docs/objects.md)."""
+"""How far the vertex moves that moves most: the error of a derivative is then under 1e-3 (docs/learn-method.md)."""
 
 
 def exact_images(

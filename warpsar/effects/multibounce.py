@@ -23,7 +23,7 @@ REFLECTIONS = ("roughness", "lobe")
 
 
 class Multibounce(Effect):
-    """Rays followed over up to `max_bounces` surfaces (docs/effects.md).
+    """Rays followed over up to `max_bounces` surfaces (docs/checks.md).
 
     Every surface but the last is a mirror with |R_p(theta)|^2 exp(-4 k^2 h^2 cos^2 theta). Range is half the path,
     azimuth the middle of entry and exit. By `reflection`, the last surface returns the ray, if nothing lies between it

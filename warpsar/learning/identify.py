@@ -1,4 +1,4 @@
-"""What the data tell about a few parameters: Fisher information, intervals, and sentences (docs/learn.md)."""
+"""What the data tell about a few parameters: Fisher information, intervals, and sentences (docs/learn-method.md)."""
 
 from __future__ import annotations
 

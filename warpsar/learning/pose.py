@@ -27,7 +27,7 @@ from warpsar.speckle.likelihood import residual_sd
 from warpsar.speckle.residual import residual_autocovariance
 from warpsar.surface.stage import Stage
 
-POSE_STEP_M = 2e-3  # of a difference: its error is under 1e-3 of a derivative (docs/objects.md)
+POSE_STEP_M = 2e-3  # of a difference: its error is under 1e-3 of a derivative (docs/learn-method.md)
 LIT = 0.1  # share of a pixel that is no floor, from which its residual tells of speckle
 KEPT = 3  # poses whose hits are kept
 # How far a descent goes on with the changes of an image by its poses: of a pixel, and of a log coordinate. They hardly

@@ -1,7 +1,7 @@
 """A view without rays: the area of every visible face in every pixel, exact to rounding.
 
 Rays sample where a silhouette or a shadow's edge lies, so that an image jumps as an edge crosses them. The exact areas
-are smooth in the vertices, and differences of such images are their derivatives (docs/objects.md).
+are smooth in the vertices, and differences of such images are their derivatives (docs/learn-method.md).
 """
 
 from __future__ import annotations
