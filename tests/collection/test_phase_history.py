@@ -181,7 +181,7 @@ def test_both_sum_over_one_look_as_the_engine(device: str) -> None:
     (found,) = warpsar.phase_history(made, device=device)
     sample = found.samples[:, found.plan.frequencies // 2, 1] / np.sqrt(4 * np.pi)
     wanted = warpsar.rcs(made, 30.0, 50.0, found.frequency_hz[found.plan.frequencies // 2], device=device)
-    # Flat regions have their exact border in the one, tubes of lambda / 10 in the other, 0.1 to 0.2 dB (coherent-checks.md).
+    # Flat regions have their exact border in the one, tubes of lambda / 10 in the other: 0.1 to 0.2 dB.
     assert sample == pytest.approx(wanted.amplitude_m[0, 0, 0], abs=0.02 * np.abs(wanted.amplitude_m).max())
 
 

@@ -51,7 +51,7 @@ def image_of(hits: Hits) -> np.ndarray:
 
 @given(st.floats(-360, 360), st.floats(0.5, 89.5))
 def test_axes(azimuth_deg: float, incidence_deg: float) -> None:
-    """reference/scene-file.md: s toward the radar, clockwise from north; u, v right-handed with d; v_z = -sin(incidence)."""
+    """Of the reference: s toward the radar, clockwise from north; u, v right-handed with d; v_z = -sin(incidence)."""
     geometry = view_geometry(azimuth_deg, incidence_deg, 9.6e9)
     d, u, v = axes(azimuth_deg, incidence_deg)
     for found, expected in ((geometry.d, d), (geometry.s, -d), (geometry.u, u), (geometry.v, v)):
