@@ -212,8 +212,8 @@ def test_report_stands_alone_and_says_it_all(graded: Ran) -> None:
     for title in (
         "In short",
         "The residual before and after",
-        "Turn 1: what each effect scored",
-        "Turn 2: what each effect scored",
+        "Turn 1: the score of each effect",
+        "Turn 2: the score of each effect",
         "How the surface parameters moved",
         "What could not be tested",
         "What is left at the end, and where",

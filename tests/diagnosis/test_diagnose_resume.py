@@ -134,7 +134,7 @@ def test_a_limit_of_time_ends_with_what_there_is_and_goes_on(whole: tuple[Path, 
     assert done.exit_code == UNEXPLAINED, done.output
     assert (content["verdict"], content["unexplained"]) == ([], True)
     first, second = content["not_asked"]
-    assert first == "turn 1: what explains what is left"
+    assert first == "turn 1: which effect explains the residual"
     assert "eps_gradient" in second
     assert "the time was over before all was asked" in done.stdout
     assert first in (out / "report.html").read_text()
@@ -169,7 +169,7 @@ def test_what_was_added_on_trial_stays_in_the_model_and_is_no_name_when_the_time
     assert (content["verdict"], content["unexplained"]) == ([], True), "it was never asked beside the others"
     assert "time was over" in content["not_established"][name]
     assert content["not_asked"] == [
-        "turn 2: what explains what is left",
+        "turn 2: which effect explains the residual",
         f"whether each of these holds beside all the others: {turns[0].added}",
     ]
 

@@ -34,4 +34,4 @@ def refuse_left_out(world: World, product: Product) -> None:
 def left_out_warning(world: World, what: str) -> list[str]:
     """The warning that `what`, a cross-section or a curve of it, goes on without them; empty where there are none."""
     found = left_out(world, "rcs")
-    return [f"not applied, since {what} has none of what concerns images alone: {', '.join(found)}"] if found else []
+    return [f"not applied, since they act on images and not on {what}: {', '.join(found)}"] if found else []

@@ -352,7 +352,7 @@ def _warnings(scene: World, found: Rcs, strongest: NDArray[np.float64]) -> list[
     nothing = found.rcs_m2.max(axis=(0, 1)) <= NOTHING * strongest[:, None]
     for p in np.flatnonzero((nothing & (strongest[:, None] > 0.0)).all(axis=0)):
         warnings.append(
-            f"there is no {found.polarizations[p]} return: its numbers are what rounding leaves, "
+            f"there is no {found.polarizations[p]} return: its numbers are rounding errors, "
             f"{-10.0 * np.log10(NOTHING):g} dB and more under the strongest polarization"
         )
     strong = ~nothing & (found.rcs_m2 > 10.0 ** (-WEAK_DB / 10.0) * found.rcs_m2.max(axis=(0, 1)))

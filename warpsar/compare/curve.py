@@ -195,7 +195,7 @@ class CurveJudgement:
         if "noise" in self.findings:
             said.append(f"{100.0 * self.noise_share:.0f} % of their power are left to the noise")
         if "level" in self.findings:
-            said.append("the noise of the train curves does not explain what is left")
+            said.append("the noise of the train curves does not explain the residual")
         return "; ".join([*said, level])
 
     def content(self) -> dict[str, Any]:

@@ -157,7 +157,7 @@ def _ask(
     if gain <= price:
         why = "the train curves do not pay for it"
     elif bad := [each.name for each in left_out if not each.holds]:
-        why = f"what was left out does not confirm it: {', '.join(bad)}"
+        why = f"curves left out do not confirm it: {', '.join(bad)}"
     elif over <= 0.0:
         why = "no likelier than a constant level"
     whole, _ = _by_blocks(declared.curves, rows)

@@ -160,7 +160,7 @@ def ask(curves: Sequence[ObservedCurve], names: Sequence[str], effect: str, term
     if not (gain > price and p_value < SURE):
         why = "the train curves do not pay for it"
     elif bad := [each.name for each in left_out if not each.holds]:
-        why = f"what was left out does not confirm it: {', '.join(bad)}"
+        why = f"curves left out do not confirm it: {', '.join(bad)}"
     elif beaten := [name for name, value in over.items() if value <= 0.0]:
         why = f"no likelier than a {' and a '.join(beaten)}"
     told = levels[1] < min(LEVEL_DB, 0.5 * levels[0])

@@ -309,6 +309,6 @@ def why_not(candidate: Candidate) -> str:
         return "this scene has no place for it"
     share = 100.0 * candidate.eta
     return (
-        f"all but {share:.2g} % of what it would change, the surface's parameters can change alike "
-        f"(allowed: {100.0 * candidate.least:g} %): in this geometry the two cannot be told apart"
+        f"the surface's parameters can imitate all but {share:.2g} % of its change (allowed: "
+        f"{100.0 * candidate.least:g} %): in this geometry the two cannot be told apart"
     )

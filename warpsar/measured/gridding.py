@@ -86,9 +86,9 @@ def on_grid(measured: PhaseHistory | ImageChip, world: World, view: View, how: G
     power[~np.isfinite(power)] = np.nan
     unseen = int((~np.isfinite(power)).sum())
     if unseen == power.size:
-        raise InputError(f"{measured.source}: no pixel of the view's grid lies wholly inside what was measured")
+        raise InputError(f"{measured.source}: no pixel of the view's grid lies wholly inside the measured area")
     if unseen:
-        messages.append(f"{unseen} of {power.size} pixels lie outside what was measured; they are NaN, and masked")
+        messages.append(f"{unseen} of {power.size} pixels lie outside the measured area; they are NaN, and masked")
     return Gridded(power, looks, messages, range_m, azimuth_m, slc)
 
 

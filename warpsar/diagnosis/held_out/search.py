@@ -207,7 +207,7 @@ class FoldSearch:
         if movable and pending:
             self._doing = GEOMETRY
             self._model = self._geometry(self._model, offsets) or self._model
-        self._doing = "what each effect is worth at the end"
+        self._doing = "the gain of each effect at the end"
         self._model = self._asked_again(self._model)
         self._doing = "whether a box of its size predicts as well"
         self._box = self._boxed(self._model)

@@ -100,7 +100,7 @@ def _nearest(done: Diagnosed) -> list[str]:
         [one.effect, f"{one.score:.1f}", "–" if one.refit_gain is None else f"{one.refit_gain:+,.1f}", one.against]
         for one in left.nearest
     ]
-    head = ["nearest explanations", "score, -ln p", "refit, 2 ln L", "what speaks against it"]
+    head = ["nearest explanations", "score, -ln p", "refit, 2 ln L", "evidence against it"]
     return [report.table(head, rows, f"A score must exceed {left.nearest[0].threshold:.1f}")]
 
 
@@ -143,7 +143,7 @@ def _place(where: ResidualPlace) -> list[str]:
         extent = " × ".join(f"{b - a:.1f}" for a, b in zip(p.low_m, p.high_m, strict=True))
         rows.append([p.material, f"{100 * p.share:.0f} %", *(f"{c:.1f}" for c in p.centre_m), extent])
     head = ["surface in the window", "of its lit area", "east [m]", "north [m]", "up [m]", "extent [m]"]
-    blocks.append(report.table(head, rows, "World coordinates of what is lit in that window"))
+    blocks.append(report.table(head, rows, "World coordinates of the lit surfaces in that window"))
     rows = [
         [
             v.image,
@@ -167,7 +167,7 @@ def _on_the_mesh(done: Diagnosed) -> list[str]:
     pictures = []
     for azimuth, side in both_sides(stage, INCIDENCE_DEG):
         shades = residual_rgb(residual_on(side, found, done.models[-1]), reach)
-        pictures.append(report.picture(report.png(side.paint(shades)), f"what is left, from azimuth {azimuth:g}°"))
+        pictures.append(report.picture(report.png(side.paint(shades)), f"the residual, from azimuth {azimuth:g}°"))
     return [
         report.paragraph(
             "What is left on the surface: measured over modelled power, averaged over 5 x 5 pixels and the train views "

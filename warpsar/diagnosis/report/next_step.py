@@ -38,13 +38,13 @@ def _with_the_scene(done: Diagnosed, out: Path) -> list[Step]:
     said = [Step("Look at every image beside the scene that was written here:", command)]
     if "test" not in done.verdicts:
         said.append(
-            Step('Give a view role = "test" and run this again: only a view that named nothing tests the answer.')
+            Step('Give a view role = "test" and run this again: only a view that no fit has used tests the answer.')
         )
     elif done.speckle.names:
         names = " and ".join(done.speckle.names)
         said.append(Step(f"Declare {names} as the written scene does, if whoever made the images agrees."))
     elif done.changed:
-        said.append(Step("Check what was found by other means, and then write it into the scene file that you keep."))
+        said.append(Step("Check these names by other means, and then write them into the scene file that you keep."))
     return said
 
 
@@ -59,7 +59,7 @@ def _where_to_look(done: Diagnosed) -> str:
     if findings and not findings & {"structure", "edges"}:
         return _of_even_ground(done, findings)
     if refuted(done):
-        return "Compare the residuals of the test views below: what holds on the train views does not hold on them."
+        return "Compare the residuals of the test views below: the model holds on the train views and not on them."
     if findings == {"edges"}:
         worst = next(one.edges.off(SHARE)[0] for one in done.verdicts.values() if "edges" in one.findings)
         return f"Look at the outlines in {worst.image}: at the mesh's heights, and at the angles of that view."
@@ -83,7 +83,6 @@ def _of_even_ground(done: Diagnosed, findings: Set[Finding]) -> str:
     """No place stands out: the scatter of even ground is of another kind, or its level."""
     if findings & {"looks", "texture", "distribution"}:
         return (
-            "Ask how the images were averaged, filtered or compressed: what departs is the scatter of even ground, "
-            "not a place."
+            "Ask how the images were averaged, filtered or compressed: the scatter of even ground departs, not a place."
         )
     return "Look at the images' calibration and at the materials: the level is off everywhere, not at one place."

@@ -39,9 +39,9 @@ def summary_section(done: Diagnosed, content: dict[str, Any]) -> str:
         )
     head = ["views", "images", "pixels", "deviance before", "deviance after", "difference", "rmse [dB]", "correlation"]
     explained = (
-        "Deviance is the mean of 2 L (I/mu - 1 - ln(I/mu)) over what speckle alone would leave: 1 is a perfect model. "
-        "Before: the declared model at its best fit, with the looks of the scene file. After: with everything that was "
-        "found, all parameters fitted again. Each on its interior: pixels that its surface covers with all eight "
+        "Deviance is the mean of 2 L (I/mu - 1 - ln(I/mu)) over its mean under speckle alone: 1 is a perfect model. "
+        "Before: the declared model at its best fit, with the looks of the scene file. After: with all names of the "
+        "verdict, all parameters fitted again. Each on its interior: pixels that its surface covers with all eight "
         "neighbours, off the image's edge; the difference on the pixels of both. ± is one standard error, with the "
         "correlation of neighbouring pixels; that of the difference is smaller, because both models meet the same "
         "speckle. warpsar evaluate gives the same numbers of the written scene. Test views were looked at once, after "
@@ -102,17 +102,17 @@ def _first(done: Diagnosed) -> list[str]:
     if done.unexplained:
         names = f" {', '.join(done.verdict)} was found, and does not explain it." if done.verdict else ""
         if not refuted(done):
-            blocks.append(report.paragraph(f"Something is left that nothing found explains.{names}"))
+            blocks.append(report.paragraph(f"A part of the residual has no explanation.{names}"))
         blocks.append(report.bullets([f"{one[0].upper()}{one[1:]}" for one in done.reasons]))
         if done.not_established:
             blocks.append(
-                report.paragraph("In the model, but not established: what is left may be what they stand for.")
+                report.paragraph("In the model, but not established: they may stand in for the rest of the residual.")
             )
             blocks.append(report.bullets([f"{name}: {why}" for name, why in done.not_established.items()]))
     elif done.verdict:
-        blocks.append(report.paragraph("With what was found, nothing but speckle is left, to the tests made here."))
+        blocks.append(report.paragraph("With these names only speckle is left, to the tests made here."))
     else:
-        blocks.append(report.paragraph("Nothing is missing, to the tests made here: what is left looks like speckle."))
+        blocks.append(report.paragraph("Nothing is missing, to the tests made here: the residual looks like speckle."))
     if found.not_asked:
         blocks.append(report.paragraph("The time was over before all was asked. Not asked:"))
         blocks.append(report.bullets(found.not_asked))
@@ -124,7 +124,7 @@ def _first(done: Diagnosed) -> list[str]:
         if not one.wrong
     ]
     if done.own_numbers:
-        said.append("For this, what effects hold for each view by itself was fitted to the test views, too")
+        said.append("For this, numbers that effects hold for each view by itself were fitted to the test views, too")
     if done.foretold is not None:
         said.append(f"{OPEN_WORDS[0].upper()}{OPEN_WORDS[1:]}. {done.open_surface[0].upper()}{done.open_surface[1:]}")
     return [*blocks, report.bullets(said)] if said else blocks
@@ -157,8 +157,8 @@ def _verdict(done: Diagnosed, content: dict[str, Any]) -> list[str]:
         earned = f" Its own test says: {_OUTCOME[own['outcome']]} ({own['text']})." if own else ""
         said.append(f"Added: {_named(step)}, with {tables}.{held}{earned}{doubt}")
     said += [
-        f"The data do not decide between {one.effect} and {one.other}: in its place it would fit as well, to within "
-        f"what speckle makes of the difference (2 ln L {one.gain:+.1f}). {by.sentence[0].upper()}{by.sentence[1:]}."
+        f"The data do not decide between {one.effect} and {one.other}: in its place it would fit as well, to the "
+        f"scatter of that difference under speckle (2 ln L {one.gain:+.1f}). {by.sentence[0].upper()}{by.sentence[1:]}."
         for one, by in done.alternatives
     ]
     if found.withdrawn:
@@ -177,12 +177,10 @@ def _verdict(done: Diagnosed, content: dict[str, Any]) -> list[str]:
         for name in turn["dropped"]
     ]
     if not said and any(c.refit_gain is not None for c in found.turns[0].candidates):
-        said.append(
-            "Nothing was added: none of the effects that passed the threshold held; the sections on the turns say why."
-        )
+        said.append("Nothing was added: no effect that passed the threshold held; the sections on the turns say why.")
     elif not said:
         said.append(
-            "Nothing was added: no effect of the library explains what is left better than chance would, at a family "
+            "Nothing was added: no effect of the library explains the residual better than chance would, at a family "
             f"error rate of {error:g} %."
         )
     said += [f"{content['tolerances'][label]['after']['words']}." for label in content["leaves_tolerance"]]

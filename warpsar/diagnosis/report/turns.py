@@ -23,9 +23,9 @@ def turn_section(turn: Turn, number: int, done: Diagnosed, content: dict[str, An
     tested = [c for c in turn.candidates if c.testability == "testable" and not is_geometry(c.effect)]
     error = 100.0 * content["options"]["family_error"]
     said = (
-        f"The model {about}, fitted. Every effect's template (what it would change in the images to first order, "
-        f"rendered with rays of its own) is compared with what is left, after what the fitted parameters imitate is "
-        f"taken out of both. Scores are -ln p, calibrated by {turn.draws} draws of speckle with the residual's own "
+        f"The model {about}, fitted. Every effect's template (its change of the images to first order, "
+        f"rendered with rays of its own) is compared with the residual, after the part that fitted parameters imitate "
+        f"is taken out of both. Scores are -ln p, calibrated by {turn.draws} draws of speckle with the residual's own "
         f"correlation; anything over {turn.threshold:.1f} turns up by chance in {error:g} % of scenes, all effects "
         f"and the scan taken together. A score says that a template fits, not that it is the cause: the "
         f"likeliest is added on trial, and has to hold beside all others at the end."
@@ -36,7 +36,7 @@ def turn_section(turn: Turn, number: int, done: Diagnosed, content: dict[str, An
         _candidate_table(turn, tested),
     ]
     blocks += [report.paragraph(text) for text in _why(turn)]
-    return report.section(f"Turn {number + 1}: what each effect scored", *blocks)
+    return report.section(f"Turn {number + 1}: the score of each effect", *blocks)
 
 
 def _bars(turn: Turn, tested: Sequence[Candidate]) -> str:

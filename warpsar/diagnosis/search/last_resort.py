@@ -29,7 +29,7 @@ def learned_law(setup: FitSetup, here: Fitted, price: float) -> tuple[Candidate,
     trial = get(name).trials(Context(here.scene, 1.0))[0]
     scene = replace(here.scene, effects={**here.scene.effects, name: dict(trial.starts[0])})
     fitted = refit_as(setup, scene)
-    found = Candidate(name, "testable", note="the last resort: no named effect explains what is left")
+    found = Candidate(name, "testable", note="the last resort: no named effect explains the residual")
     found.refit_gain = 2.0 * (fitted.log_likelihood - here.log_likelihood)
     found.refit_size = fitted.size - here.size
     found.table = fitted.scene.effects[name]

@@ -106,7 +106,7 @@ class Search:
         ]
         self.not_asked = [self._doing]
         if last.added is None and waiting:
-            self.not_asked.append(f"whether one of these explains what is left: {', '.join(waiting)}")
+            self.not_asked.append(f"whether one of these explains the residual: {', '.join(waiting)}")
         self.on_trial = [name for name in self._added(self._base) if name not in self._asked]
         if self.on_trial:
             self.not_asked.append(f"whether each of these holds beside all the others: {', '.join(self.on_trial)}")
@@ -204,7 +204,7 @@ class Search:
         """Turns until one adds nothing; whether any added something."""
         found = False
         while True:
-            self._doing = f"turn {len(self.turns) + 1}: what explains what is left"
+            self._doing = f"turn {len(self.turns) + 1}: which effect explains the residual"
             turn = self._record.turn(self._stage, self._setup, self._base, self._turn)
             self._stage += 1
             console.say("\n".join(turn_lines(turn, len(self.turns))))
@@ -318,7 +318,7 @@ class Search:
         """
         anything_hidden = False
         while self._added(self._base):
-            self._doing = "whether what was added holds"
+            self._doing = "whether the added effects hold"
             console.say(f"asked beside each other, and of views left out: {', '.join(self._added(self._base))}")
             answers = self._record.confirmation(self._stage, self._setup, self._base, self._confirm)
             self._stage += 1
@@ -345,7 +345,7 @@ class Search:
                 continue
             turn = next(t for t in reversed(self.turns) if t.added and one.effect in _contained(t.added))
             larger = next(c for c in turn.candidates if c.effect == turn.added)
-            larger.refused = f"{one.effect} can do what it did, with fewer numbers"
+            larger.refused = f"{one.effect} explains the same with fewer numbers"
             if all(c.effect != one.effect for c in turn.candidates):
                 turn.candidates.append(Candidate(one.effect, "testable"))
             turn.added = one.effect

@@ -227,7 +227,7 @@ def _absent(declared: Scene, exact: Exact, here: Fitted, label: str) -> Geometry
     values = {"absent": True, "position_m": at.tolist(), "size_m": np.ptp(vertices, axis=0).tolist()}
     words = []
     if _hole(without, vertices, at):
-        words.append(f"{label}: the mesh has no ground where it stood; what measures power there has no model")
+        words.append(f"{label}: the mesh has no ground where it stood; power that is measured there has no model")
     return GeometryCandidate(ABSENT, label, without, losses[0] - losses[1], 1, values, words)
 
 
