@@ -86,7 +86,7 @@ class UnresolvedDetail(Effect):
             scale="log",
             fit_low=1e-3,
             fit_high=1e3,
-            description="What is added to `level` along an axis of the body, as a multiple of it.",
+            description="Level added along an axis of the body, as a multiple of `level`.",
         ),
         EffectParameter(
             "flash_deg",

@@ -45,7 +45,7 @@ class ProfileFile(Table):
 
 
 class Curve(Table):
-    """`[[curves]]`: one curve of a file, and what it is used for. `file` is absolute in memory, as is `mesh`."""
+    """`[[curves]]`: one curve of a file, and its role. `file` is absolute in memory, as is `mesh`."""
 
     file: FileName = Field(
         description="CSV (frequency_hz, theta_deg, phi_deg, rcs_dbsm), or the Austin suite's text; see profiles.",

@@ -115,12 +115,12 @@ class Radar(Table):
     )
     polarization_basis: Literal["radar", "local"] = Field(
         default="radar",
-        description="Whether polarizations are the radar's, or those of every facet's own basis.",
+        description="Basis of the polarizations: the radar's, or every facet's own.",
         examples=["local"],
     )
     terms: Annotated[tuple[Term, ...], Field(min_length=1)] = Field(
         default=("single", "edges", "multibounce", "rough"),
-        description="What a coherent product contains; transmission goes into solid dielectrics (docs/coherent.md).",
+        description="Terms of a coherent product; transmission goes into solid dielectrics (docs/coherent.md).",
         examples=[["single", "edges"]],
     )
     max_bounces: Annotated[_Whole, Field(ge=1, le=1000)] = Field(
@@ -272,7 +272,7 @@ class _OfModel(Table):
     # What the values' validators look at comes before them.
     model: ModelName = Field(
         default=DEFAULT,
-        description="What sigma0 is computed by; facet takes it from a table (sigma0).",
+        description="Model that gives sigma0; facet takes it from a table (sigma0).",
         examples=["i2em"],
     )
     sigma0: FileName | None = Field(
@@ -287,7 +287,7 @@ class _OfModel(Table):
     )
     layout: Literal["uniform", "vertex", "texture"] = Field(
         default="uniform",
-        description="What a name among the values stands for: a scalar of the vertices, or an image.",
+        description="Kind of a name among the values: a scalar of the vertices, or an image.",
         examples=["texture"],
     )
 

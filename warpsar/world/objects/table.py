@@ -120,7 +120,7 @@ class Object(Table):
         examples=[{"hull": "steel", "wheels": "rubber"}],
     )
     learn: tuple[Learnable, ...] = Field(
-        default=(), description="What a fit may change.", examples=[["position", "heading"]]
+        default=(), description="Numbers that a fit may change.", examples=[["position", "heading"]]
     )
     tolerance: dict[str, Any] = Field(
         default_factory=dict,
@@ -138,7 +138,7 @@ class Object(Table):
     survey_tolerance: dict[Literal["position_m", "heading_deg"], Annotated[Number, Field(gt=0.0, le=1e6)]] = Field(
         default_factory=dict,
         description="Standard deviation of an error that all bodies of one survey have in common [m] and [deg]; "
-        "`tolerance` has what each has of its own beside it.",
+        "`tolerance` is for the own error of each body.",
         examples=[{"heading_deg": 4.0}],
     )
     accuracy_m: Annotated[Number, Field(gt=0.0, le=100.0)] | None = Field(
