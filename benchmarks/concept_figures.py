@@ -46,7 +46,7 @@ def section(axis: Any) -> None:
     axis.text(-15.5, 13.2, "from\nthe radar", fontsize=8, color="#555555", va="top")
     axis.text(5, 4, "building", ha="center", fontsize=9)
     axis.text(WIDTH_M + 2.2, 1.6, "shadow", fontsize=9)
-    axis.text(14, 10.0, "dashed: all points of one slant range", fontsize=8, color="#555555")
+    axis.text(12.5, 10.0, "dashed: all points of one slant range", fontsize=8, color="#555555")
     axis.text(0.5, -2.6, "corner: two bounces", fontsize=8, color=COLOURS["corner"])
     axis.set(xlim=(NEAR_M, FAR_M), ylim=(-4, 18), xlabel="ground range [m]", ylabel="height [m]", aspect="equal")
     axis.set_title("the building from the side", fontsize=10)
