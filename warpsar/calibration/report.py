@@ -176,14 +176,15 @@ def _together(explanation: Explanation) -> str:
         rows.append([one.cause.title, words, f"{one.gain:+.1f}", held])
     said = (
         "Causes are added one after the other while the earlier dates need them and the later ones, which do not "
-        "choose, become more likely. Intervals of 90 % let the other causes move. Of the scatter that is left, "
+        "choose, become more likely; each is then asked again beside the others. Intervals of 90 % let the other "
+        "causes move. Of the scatter that is left, "
         f"{found.scatter.value:.2f} dB are of each value and {found.scatter.image:.2f} dB of each image."
     )
     blocks = [report.paragraph(said, quiet=True)]
     if rows:
         later = f"ln L of the {found.held_dates} later dates" if found.held_dates else "ln L of later dates"
         blocks.append(
-            report.table(["cause", "at its best, with the others", "ln L where it was chosen", later], rows, "", (0, 1))
+            report.table(["cause", "at its best, with the others", "ln L that it adds", later], rows, "", (0, 1))
         )
     else:
         blocks.append(report.paragraph("No cause is needed."))
