@@ -148,6 +148,9 @@ def test_products_that_cannot_be_opened_are_named(tmp_path: Path) -> None:
     assert "broken.SAFE" in result.refused[0]
     with pytest.raises(InputError, match=r"no product can be measured:\n.*not readable as XML"):
         warpsar.reflectors([broken], sites(tmp_path))
+    (tmp_path / "empty.SAFE").mkdir()
+    with pytest.raises(InputError, match=r"empty.SAFE: found a folder without annotation/; must be a SAFE folder"):
+        warpsar.reflectors([tmp_path / "empty.SAFE"], sites(tmp_path))
     plain = tmp_path / "a.npy"
     np.save(plain, np.ones((3, 3)))
     with pytest.raises(InputError, match="says no orbit; must be one of gamma, nisar, sentinel1"):

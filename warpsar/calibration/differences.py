@@ -208,7 +208,9 @@ def _called(chances: F64) -> NDArray[np.int64]:
 def deviations(values: F64, sd: F64, least: float) -> tuple[F64, F64]:
     """Of series (m, n): how far a value lies off the nearer of the levels before and after it, and that over its scale.
 
-    A level is the median of up to three values. 0 where both levels do not lie on one side of the value. The scale is
+    A level is the median of up to three values; of the first and the last value, which have no side before or after,
+    the neighbour stands for it, so that a step near an end is no bad date. 0 where both levels do not lie on one side
+    of the value. The scale is
     the median step from value to value (which a step of the level, or one bad date, moves little), and not less than
     `least`, nor than the deviation that clutter gives a value on the level. `sd` (n,) [dB] is that of the value itself:
     the target beats with clutter, so that it goes with the inverse root of power.
@@ -217,8 +219,9 @@ def deviations(values: F64, sd: F64, least: float) -> tuple[F64, F64]:
     spread = 1.4826 / np.sqrt(2.0) * np.median(np.abs(np.diff(values, axis=1)), axis=1)
     level = np.zeros_like(values)
     for k in range(count):
-        sides = [values[:, max(k - NEIGHBOURS, 0) : k], values[:, k + 1 : k + 1 + NEIGHBOURS]]
-        off = np.stack([values[:, k] - np.median(side, axis=1) for side in sides if side.shape[1]])
+        before, after = values[:, max(k - NEIGHBOURS, 0) : k], values[:, k + 1 : k + 1 + NEIGHBOURS]
+        sides = before if k else after[:, :1], after if k + 1 < count else before[:, -1:]
+        off = np.stack([values[:, k] - np.median(side, axis=1) for side in sides])
         one_side = (off.min(axis=0) * off.max(axis=0)) > 0.0
         nearer = np.take_along_axis(off, np.abs(off).argmin(axis=0)[None], axis=0)[0]
         level[:, k] = np.where(one_side, nearer, 0.0)

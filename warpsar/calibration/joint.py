@@ -39,6 +39,9 @@ EARLY_CHANCE, UNTESTED_CHANCE = 0.05, 0.01
 CONFIRMED = float(np.log(10.0))
 """Log-likelihood that a cause must add at later dates. Without the cause its likelihood ratio is 1 on average, as the
 earlier dates have set its value; so it exceeds 10 in at most 1 of 10 cases (Markov's inequality)."""
+WORDED = ("year of the step, from the first date",)
+"""Parameters that a cause's title says already, as a date."""
+UNCONFIRMED = "the earlier ones alone do not choose it, or the later ones do not confirm it"
 SAME = 0.1
 """BIC by which two fits of one model may differ: their scatters are found to some hundredths."""
 CausesOf = Callable[[Differences], list[Cause]]
@@ -336,7 +339,7 @@ class JointCause:
     """Log-likelihood of all dates that it adds to the other causes."""
     held_gain: float | None
     """Log-likelihood that it adds to the other confirmed causes at the later dates, which did not choose it; None where
-    it was not tried on any."""
+    none were held back, or the earlier dates did not choose it, or the later ones did not confirm it."""
     held_error: float | None
     """Standard error of that, by the scatter over images."""
 
@@ -400,6 +403,8 @@ class JointFit:
             "image_scatter": self.scatter.image,
             "bic_over_none": self.without,
             "held_dates": self.held_dates,
+            "intervals": "low to high: of the cause if it is the right one; tied_low to tied_high: over all that could "
+            "stand for the others",
         }
 
 
@@ -562,8 +567,8 @@ def _asked_again(
 ) -> CauseFit:
     """Each of these causes of the fit as if it were the last one to be added, with the others free.
 
-    What the others have made needless goes. Where another cause in its place has a lower BIC, that one takes it; the
-    place of one that later dates have `tested`, only at odds better than 10 to 1.
+    What the others have made needless goes. Where another cause in its place has a lower BIC, that one takes it, but
+    not the place of one that later dates have `tested`.
     """
     for cause in causes:
         kept = _without(fit, cause, trials.data)
@@ -571,8 +576,8 @@ def _asked_again(
         if best is None:
             fit = kept
             continue
-        margin = ALIKE if cause.name in tested else SAME
-        if best.cause is not cause and best.after.bic < fit.bic - margin and needed(best):
+        better = best.cause is not cause and best.after.bic < fit.bic - SAME
+        if better and cause.name not in tested and needed(best):
             fit = best.after
         elif not needed(replace(best, after=fit, cause=cause)):
             fit = kept
@@ -638,7 +643,7 @@ def values_words(cause: Cause, values: F64, low: F64, high: F64, tied: tuple[F64
     """Parameters with intervals, and with `tied` ends where those lie well beyond."""
     words = []
     for name, v, a, b, c, d in zip(cause.parameters, values, low, high, *(tied or (low, high)), strict=True):
-        if b <= a and v == 0.0:
+        if b <= a and (v == 0.0 or name in WORDED):
             continue
         ends = f"{a:.3g} to {b:.3g}" if b > a else ""
         if d - c > 1.5 * (b - a):
@@ -661,7 +666,8 @@ def together_words(found: JointFit, unit: str = "dB") -> list[str]:
         return ["Together: no cause is needed."]
     words = []
     for one in found.causes:
-        tested = "seen in all dates together only; no later dates tested it"
+        tested = "seen in all dates together only: "
+        tested += UNCONFIRMED if found.held_dates else "they are too few to hold some back"
         if one.held_gain is not None:
             tested = f"the {found.held_dates} later dates confirm it (ln L {one.held_gain:+.1f})"
         words.append(f"{one.cause.title} ({joint_values_words(one)}; {tested})")
