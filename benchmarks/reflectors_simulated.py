@@ -1,6 +1,6 @@
 """Point targets of known cross-section in speckle: bias of the RCS, and coverage of its interval.
 
-    python benchmarks/reflectors_simulated.py            # tables of docs/reflectors.md
+    python benchmarks/reflectors_simulated.py            # tables of docs/reflectors-checks.md
     python benchmarks/reflectors_simulated.py --draws 1000
 
 The images are made here with NumPy alone: a point's response and the clutter pass through the same band and window.

@@ -419,7 +419,7 @@ def joint(
     A step takes the cause that lowers the earlier dates' BIC the most, if made-up values without it gain as much by any
     cause in at most `EARLY_CHANCE` of the cases (`chance_of_gain`). It stays only if the later dates, which had no say
     in that, become more likely by `CONFIRMED`. Then each cause that was chosen before is asked again, beside all others
-    (`_asked_again`). What only all dates together need is added afterwards, at `UNTESTED_CHANCE`, and has no
+    (`asked_again`). What only all dates together need is added afterwards, at `UNTESTED_CHANCE`, and has no
     `held_gain`. All is then fitted to all dates, where each cause is asked once more. `trials`: of all dates and of the
     earlier ones, where they are there.
     """
@@ -438,12 +438,12 @@ def joint(
     def needed(step: Addition) -> bool:
         return step.chance <= (EARLY_CHANCE if step.cause.name in tested else UNTESTED_CHANCE)
 
-    fit = _asked_again(fit, fit.model.causes, every, needed, tested)
+    fit = asked_again(fit, fit.model.causes, every, needed, tested)
     for _ in range(MOST_STEPS):
         step = best_addition(fit, every)
         if step is None or not needed(step) or len(fit.model.causes) >= MOST_CAUSES:
             break
-        fit = _asked_again(step.after, fit.model.causes, every, needed, tested)
+        fit = asked_again(step.after, fit.model.causes, every, needed, tested)
     stands, others = _stands(fit, every, situations)
     found = []
     for cause, x, low, high in intervals(fit.model, fit.free, fit.covariance):
@@ -484,7 +484,7 @@ def _confirmed(trials: Trials, late: Differences) -> tuple[dict[str, F64], dict[
         if step is None or step.chance > EARLY_CHANCE or len(fit.model.causes) >= MOST_CAUSES:
             break
         if needed(step):
-            fit = _asked_again(step.after, fit.model.causes, trials, needed)
+            fit = asked_again(step.after, fit.model.causes, trials, needed)
         else:  # it is tried no more on these dates: others like it would be confirmed by chance
             trials.without(step.cause.name)
     found = {}
@@ -558,7 +558,7 @@ def _less(fit: CauseFit, cause: Cause) -> tuple[CauseModel, F64]:
     return model, model.free([x for _, x in kept])
 
 
-def _asked_again(
+def asked_again(
     fit: CauseFit,
     causes: Sequence[Cause],
     trials: Trials,
