@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLOURS = ("tab:blue", "tab:orange", "tab:green", "tab:purple", "tab:brown", "tab:cyan")
+ABOVE: dict[str, Any] = {"frameon": False, "fontsize": 7, "loc": "lower left", "bbox_to_anchor": (0.0, 1.0)}
+"""Of a legend: within the axes its marks look like values."""
 KILOMETRE = 111.195
 """Of a degree of latitude."""
 
@@ -119,7 +121,7 @@ def series_figure(
     axes.tick_params(axis="x", labelrotation=25)
     for each in axes.get_xticklabels():
         each.set(ha="right", rotation_mode="anchor")
-    axes.legend(frameon=False, fontsize=7, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
+    axes.legend(**ABOVE, ncols=2)
     return figure
 
 
@@ -152,7 +154,7 @@ def incidence_figure(observations: Sequence[ReflectorObservation], explanation: 
     axes.set_ylabel("measured / predicted [dB]")
     axes.grid(alpha=0.3)
     if len(names) <= 12:
-        axes.legend(frameon=False, fontsize=7)
+        axes.legend(**ABOVE, ncols=4)
     return figure
 
 
@@ -170,5 +172,5 @@ def offset_figure(observations: Sequence[ReflectorObservation]) -> Figure:
     axes.set_ylabel("azimuth, found − expected [m]")
     axes.grid(alpha=0.3)
     if len(names) <= 12:
-        axes.legend(frameon=False, fontsize=7)
+        axes.legend(**ABOVE, ncols=4)
     return figure
