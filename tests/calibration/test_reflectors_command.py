@@ -17,6 +17,7 @@ from stacks import gamma_image, image, safe_stack
 
 import warpsar
 from warpsar.calibration.attitude import Facing, trihedral_rcs_m2
+from warpsar.calibration.report import predicted_power
 from warpsar.cli.main import main
 from warpsar.errors import InputError
 from warpsar.formats import sentinel1
@@ -193,6 +194,7 @@ def test_an_open_product_is_taken_and_a_date_before_the_set_up_is_marked(tmp_pat
     result = warpsar.reflectors(product, table, engine=False)
     (one,) = result.observations
     assert (one.status, one.stands) == ("not seen", False)
+    assert np.ptp(predicted_power(one)) == 0.0  # clutter alone
     assert result.explanation.bad_dates == ()
     assert result.geolocation is None
 
