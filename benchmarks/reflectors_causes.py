@@ -106,7 +106,7 @@ def main() -> None:
         print("kind: later values inside, and width; by a level of each reflector and pass alone")
     else:
         print("kind: all causes named, or tied to what is named; worlds with a cause that is not there (95 % bounds);")
-        print("      the interval holds; the interval over all ties holds")
+        print("      the interval holds; that over all ties; the interval where the true causes alone are named")
     start = time.perf_counter()
     with ProcessPoolExecutor(thread_count(), multiprocessing.get_context("spawn")) as pool:
         for kind in given.kinds:
@@ -148,7 +148,11 @@ def judged(kind: str, seed: int) -> dict[str, Any]:
 def judged_line(found: list[dict[str, Any]]) -> str:
     worlds, false = len(found), sum(bool(one["false"]) for one in found)
     held = [each for one in found for each in one["held"].values()]
-    shares = [f"{100 * np.mean([each[k] for each in held]):.0f} % of {len(held)}" if held else "-" for k in (0, 1)]
+    true = [each for one in found if len(one["held"]) == len(one["named"]) for each in one["held"].values()]
+    shares = [
+        f"{100 * np.mean([each[k] for each in some]):.0f} % of {len(some)}" if some else "-"
+        for some, k in ((held, 0), (held, 1), (true, 0))
+    ]
     bounds = f"({100 * bound(false, worlds, 0.025):.1f} to {100 * bound(false, worlds, 0.975):.1f} %)"
     return f"{sum(not one['missing'] for one in found)} of {worlds}; {false} of {worlds} {bounds}; {'; '.join(shares)}"
 

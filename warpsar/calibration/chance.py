@@ -82,18 +82,19 @@ def chance_of_gain(
 
     widest = max(one.slopes.shape[1] for one in tried)
     every = np.concatenate([np.pad(one.slopes, ((0, 0), (0, widest - one.slopes.shape[1]))) for one in tried], axis=1)
-    bare, best, own = np.full(DRAWS, np.inf), np.full((len(tried), DRAWS), np.inf), np.inf
+    charges, charged = np.unique([one.counted for one in tried], return_inverse=True)
+    bare, best, own = np.full(DRAWS, np.inf), np.full((charges.size, DRAWS), np.inf), np.inf
     for one, (space, _), volume in zip(covariances, spaces, volumes.tolist(), strict=True):
         white, columns = (each - space @ (space.T @ each) for each in (one.whitened(series), one.whitened(every)))
         misfit = (white**2).sum(axis=0)
         free, _ = _space(columns.reshape(size, len(tried), widest).swapaxes(0, 1))
         taken = ((free.swapaxes(1, 2) @ white) ** 2).sum(axis=1)
+        most_taken = np.stack([taken[charged == k].max(axis=0) for k in range(charges.size)])
         bare = np.minimum(bare, cost(misfit, volume))
-        best = np.minimum(best, cost(np.maximum(misfit - taken, 0.0), volume))
+        best = np.minimum(best, cost(np.maximum(misfit - most_taken, 0.0), volume))
         after = _misfit(one.whitened(chosen.left), _space(one.whitened(chosen.slopes))[0])
         own = min(own, float(cost(after, volume)))
-    charged = np.array([one.counted for one in tried]) * np.log(size)
-    gains = (bare - best - charged[:, None]).max(axis=0)
+    gains = (bare - best - charges[:, None] * np.log(size)).max(axis=0)
     own_bare = min(float(cost(*each)) for each in zip(misfits.tolist(), volumes.tolist(), strict=True))
     gain = own_bare - own - counted * np.log(size)
     return float(((gains >= gain).sum() + 1.0) / (DRAWS + 1.0))

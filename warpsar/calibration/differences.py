@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,6 +108,11 @@ class Differences:
     def passes(self) -> NDArray[np.int64]:
         """Which of `looks` each value has, (n,)."""
         return pass_numbers(self.looks, self)
+
+    @cached_property
+    def members(self) -> F64:
+        """1 where a value is of an image, (images, n)."""
+        return (np.arange(int(self.image.max(initial=-1)) + 1)[:, None] == self.image).astype(np.float64)
 
     def __len__(self) -> int:
         return self.value.size
