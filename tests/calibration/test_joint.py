@@ -76,7 +76,7 @@ def test_another_cause_takes_the_place_of_one_that_fits_worse() -> None:
 
 @pytest.mark.full
 def test_nothing_is_named_where_nothing_is_off() -> None:
-    """Of 5 worlds at most one has a cause (`python benchmarks/reflectors_causes.py`: 2 of 200)."""
+    """Of 5 worlds at most one has a cause (`python benchmarks/reflectors_causes.py --worlds 200`: 2 of 200)."""
     assert sum(bool(joint(made(lambda n, d, a, i: 0.0, seed=k), causes).causes) for k in range(5)) <= 1
 
 
