@@ -89,7 +89,7 @@ def chance_of_gain(
         misfit = (white**2).sum(axis=0)
         free, _ = _space(columns.reshape(size, len(tried), widest).swapaxes(0, 1))
         parts = free.swapaxes(1, 2).reshape(-1, size).astype(np.float32) @ white.astype(np.float32)  # the most work
-        taken = (parts**2).reshape(len(tried), widest, DRAWS).sum(axis=1)
+        taken = (parts**2).reshape(len(tried), -1, DRAWS).sum(axis=1)
         most_taken = np.stack([taken[charged == k].max(axis=0) for k in range(charges.size)])
         bare = np.minimum(bare, cost(misfit, volume))
         best = np.minimum(best, cost(np.maximum(misfit - most_taken, 0.0), volume))
