@@ -20,6 +20,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import label, map_coordinates
+from scipy.special import chdtrc
 
 from warpsar.terrain.comparison import LEAST_CELLS, SQUARE, averaged, cell_of, slant_step_m
 from warpsar.terrain.result import SimulatedProduct
@@ -214,8 +216,6 @@ class _Cells:
         """beta0 of each surface in cells, and its slopes by a line and by a pixel, after moves [m] in range, azimuth
         and height."""
         if moves not in self._placed:
-            from scipy.ndimage import map_coordinates
-
             off = [sum(one * self.per_metre[name][k] for one, name in zip(moves, PLACES, strict=True)) for k in (0, 1)]
             image, cover = np.nan_to_num(self.simulated), self.cover
             if any(moves):
@@ -234,8 +234,6 @@ class _Cells:
 
     def _regions(self, parts: list[F64]) -> dict[str, tuple[int, NDArray[np.bool_]]]:
         """Parts of the land cover that hang together, by name: the surface, and the cells."""
-        from scipy.ndimage import label
-
         if len(parts) < 2:
             return {}
         made: list[tuple[int, int, NDArray[np.bool_]]] = []
@@ -364,8 +362,6 @@ def _slopes(made: _Modelled, names: list[str], where: NDArray[np.bool_]) -> F64:
 
 def _screened(cells: _Cells, chosen: list[str], x: F64, left: list[str], where: NDArray[np.bool_]) -> tuple[F64, F64]:
     """The chance of each score beside the fitted model, and the correlations of the directions themselves."""
-    from scipy.special import chdtrc
-
     made = cells.model(chosen, x, left)
     scatter = _Scatter.of(cells, made.power, where)
     had, more = _slopes(made, chosen, where), _slopes(made, left, where)
