@@ -4,8 +4,8 @@
     python benchmarks/storeys.py table -o out/storeys [--write]
 
 A town of nine blocks of flats, each 24 m x 14 m and three storeys of 3 m, with double bounces, at X band, in four views
-(two from either side, as of ascending and descending passes, one held back). Pixels are as large as the resolution; at 0.5 m the block
-in the middle stands alone, on ground of 60 m.
+(two from either side, as of ascending and descending passes, one held back). Pixels are as large as the resolution; at
+0.5 m the block in the middle stands alone, on ground of 60 m.
 Images are made by `simulate` with speckle of one look, or of a mean of twenty dates. The file lacks something of the
 block in the middle, or has too much; then `diagnose` is asked. `2 ln L` is what images without speckle differ by from
 the file's: what there is to be found at all.
