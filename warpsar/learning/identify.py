@@ -34,7 +34,8 @@ class Identified:
     F^-1 S F^-1; S, `products`, comes from the residuals' own autocovariance, so correlated speckle counts. The variance
     of an element is infinite where it has a part in a direction that the data do not see. `eigenvalues` of the
     information ascend; `eigenvectors` are in columns. `words` are sentences for people. `ends`, shape (p, 2),
-    are 95 % intervals by the profile of the likelihood (`learning.profiles`), where these were asked for.
+    are 95 % intervals by the profile of the likelihood (`learning.profiles`), where these were asked for; `by_profile`,
+    (p,), says which of them are, and which are 1.96 standard deviations to either side.
     """
 
     labels: list[str]
@@ -45,6 +46,7 @@ class Identified:
     eigenvectors: np.ndarray
     words: list[str] = field(default_factory=list)
     ends: np.ndarray | None = None
+    by_profile: np.ndarray | None = None
 
     @property
     def sd(self) -> np.ndarray:

@@ -113,6 +113,17 @@ class ViewJacobian:
             view.run_images(gradient=True)
         return found
 
+    def by_kind(self, kind: np.ndarray, count: int) -> list[np.ndarray]:
+        """d ln(mu) of each observation by the logarithm of what each kind of sample brings (`Tangents.powers`), shape
+        (n, `count` + 1), float64, after a run of the images."""
+        found = []
+        for (polarization, pixels, darkest), mu in zip(self._view.compared, self._view.modelled(), strict=True):
+            rows = self._tangents.powers(polarization, kind, count)
+            given: wp.array = wp.array(rows, dtype=float, device=self._render.program.device)
+            moved = self._tangents.through_image(polarization, given)[:, pixels].astype(float)
+            found.append((moved * np.where(mu > darkest, 1.0 / mu, 0.0)).T)
+        return found
+
     def _scales(self, polarization: str) -> np.ndarray:
         """How far each pixel grows with the whole image before the image stage, shape (pixels,)."""
         before = self._render.before_image[polarization]

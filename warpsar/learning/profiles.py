@@ -1,126 +1,492 @@
-"""95 % intervals of single parameters by the profile of the likelihood.
+"""95 % intervals of surface parameters: the profile of the likelihood over all surfaces that a fit may take.
 
-Permittivity, height and correlation length of a surface trade along a valley that is bent. A standard deviation goes
-straight on where the valley turns, and its interval lies to one side of the truth. So each value is held in turn, all
-others are fitted beside it, and the interval ends where 2 ln L has fallen by what speckle alone explains in 95 % of
-images (Venzon and Moolgavkar, Applied Statistics 37, 1988).
+Permittivity, height and correlation length of a surface trade along valleys that are bent, and there may be several of
+them. A standard deviation knows one valley, and takes it to be straight. So the whole box of a fit's bounds is searched.
 
-A fit beside a held value can end before its minimum, or in another valley, and the interval would then be too narrow.
-So it reaches as far as the profile or 1.96 standard deviations say, whichever is farther.
+Images know a material by its curve alone: what its sigma0 is at each incidence that they see. So hits of like angles
+are one kind, and the likelihood is expanded once, to second order, in the logarithms of what all kinds bring. A surface
+anywhere in the box then costs its sigma0 at a few dozen angles, and no image. Everything else that is fitted (other
+materials, effects) is free beside it, to first order, and so is the power that comes over several surfaces. The
+interval has all values beside which some surface of the box stays within what speckle alone explains in 95 % of images:
+3.84 of 2 ln L, times what correlated speckle adds to a variance.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import warp as wp
+from scipy.ndimage import minimum_filter
 
+from warpsar.effects.base.effect import DeclaredEffect
+from warpsar.kernels.codes import Spectrum
 from warpsar.learning.identify import Z_95, Identified
-from warpsar.learning.optimise import FitState, levenberg_marquardt
+from warpsar.learning.prior import Known
 from warpsar.learning.problem import FitProblem
+from warpsar.learning.view import FitView
+from warpsar.render.render import ViewRender
+from warpsar.surface.surface import places_of
+from warpsar.trace.hits import ARRAYS, Hits
 
-CLOSE = 0.05  # of `Z_95`, the root of what 2 ln L falls by at an end: off by less, it is found
-MOST_TRIES, MOST_STEPS, FLAT = 6, 8, 0.05
+CELL_DEG, CELL_TWIST, CELL_AZIMUTH = 2.0, 0.1, 0.25  # hits of one kind: incidence, and the squares of two cosines
+LEAST_SHARE = 1e-4  # of a material's power in a view: less is no kind, and stands as it was fitted
+TRIED = 16384  # surfaces on the grid over the box, and hits that are shaded at once
+STARTS = 5  # of each value that is held, and four times as many of free surfaces
+STEPS, LONGEST = 30, 2.0  # of a descent, and its longest step in a coordinate
+FLAT = 1e-4  # of 2 ln L: a descent that gains less has ended
+CLOSE, HALVINGS = 0.02, 10  # of the root of what 2 ln L falls by: an end that is off by less is found
+TINY = 1e-35  # sigma0 that float32 still holds
 
 
 def with_profiles(problem: FitProblem, x: np.ndarray, identified: Identified) -> Identified:
     """`identified` with `ends`: of every element of x the 95 % interval, shape (p, 2), in the coordinates of x.
 
-    An end is infinite where no value within the bounds is refused, and where the standard deviation is infinite: a
-    valley that the data leave open may have another one beside it. What correlated speckle adds to a variance (the
-    sandwich over the inverse information) divides the gain in likelihood that it is held against. Priors count.
+    An end of a surface's parameter that no value within the bounds refuses is the bound; where all values fit, both
+    ends are infinite, and `by_profile` is true. What correlated speckle adds to a variance (the sandwich over the
+    inverse information) divides the gain in likelihood that it is held against. Priors count.
+
+    Numbers of effects have 1.96 standard deviations to either side. So have surfaces where the search is not possible:
+    hits that are not at hand, views on several processes, soft constraints of `--validity`.
     """
-    ends = np.full((x.size, 2), [-np.inf, np.inf])
-    if x.size:
-        valley = _Valley.about(problem, x, identified)
-        for k in range(x.size):
-            ends[k] = [valley.end(k, -1.0), valley.end(k, 1.0)]
-    return replace(identified, ends=ends)
+    ends = x[:, None] + np.array([-Z_95, Z_95]) * identified.sd[:, None]
+    by_profile = np.zeros(x.size, bool)
+    if x.size and problem.slopes_tell_all:
+        wider = _wider(identified)
+        low, high = problem.bounds
+        for curves in _curves(problem, x):
+            mine = curves.elements
+            box = np.stack([low[mine], high[mine]], axis=1)
+            found = _Search(curves, box, wider[mine], x[mine]).ends()
+            found[(found == box).all(axis=1)] = -np.inf, np.inf
+            ends[mine], by_profile[mine] = found, True
+    return replace(identified, ends=ends, by_profile=by_profile)
+
+
+def _wider(identified: Identified) -> np.ndarray:
+    """By what the variance of each element exceeds that of independent pixels, shape (p,)."""
+    scale = np.sqrt(np.maximum(np.diag(identified.information), 1e-300))
+    unit = identified.information / np.outer(scale, scale)
+    alone = np.diag(np.linalg.pinv(unit, rcond=1e-9, hermitian=True)) / scale**2
+    with np.errstate(divide="ignore", invalid="ignore"):
+        wider = identified.sd**2 / alone
+    known = np.isfinite(wider) & (wider > 0.0)
+    return np.where(known, wider, np.median(wider[known]) if known.any() else 1.0)
+
+
+# ---- the likelihood of curves ----
 
 
 @dataclass(frozen=True)
-class _Valley:
-    """The likelihood about its maximum at `x`. `covariance` is that of independent pixels, `wider`, (p,), by what the
-    variance of each element exceeds it."""
+class _Kinds:
+    """Kinds of hits of one view: a hit of each, its material's number, and what is needed to shade it anew."""
 
-    problem: FitProblem
-    x: np.ndarray
-    loss: float
-    sd: np.ndarray
-    covariance: np.ndarray
-    wider: np.ndarray
+    view: FitView
+    render: ViewRender
+    hit: np.ndarray
+    material: np.ndarray
+
+    @property
+    def of_surfaces(self) -> list[DeclaredEffect]:
+        """The effects that act on surfaces."""
+        return [one for one in self.view.effects if one.effect.stage == "surface"]
+
+    def of_material(self, m: int) -> _Kinds:
+        mine = self.material == m
+        return replace(self, hit=self.hit[mine], material=self.material[mine])
+
+    def coordinates(self) -> np.ndarray:
+        """Learned coordinates of the hits before any effect, shape (n, p)."""
+        pages = [one.zeta.numpy()[self.hit] for one in self.render.gathered[: len(self.render.stage.node_maps)]]
+        return np.concatenate(pages, axis=1).astype(float)
 
     @classmethod
-    def about(cls, problem: FitProblem, x: np.ndarray, identified: Identified) -> _Valley:
-        scale = np.sqrt(np.maximum(np.diag(identified.information), 1e-300))
-        unit = identified.information / np.outer(scale, scale)
-        covariance = np.linalg.pinv(unit, rcond=1e-9, hermitian=True) / np.outer(scale, scale)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            wider = identified.sd**2 / np.diag(covariance)
-        known = np.isfinite(wider) & (wider > 0.0)
-        wider = np.where(known, wider, np.median(wider[known]) if known.any() else 1.0)
-        return cls(problem, x, _loss(problem, x), identified.sd, covariance, wider)
+    def of(cls, view: FitView, render: ViewRender, materials: Sequence[int]) -> tuple[_Kinds, np.ndarray, int]:
+        """With the kind of each shading sample, and how many there are."""
+        hits, surface = render.shaded, render.stage.surface
+        material = render.stage.face_material.numpy()[hits.face.numpy()]
+        cosine, twist, azimuth = (
+            getattr(hits, name).numpy().astype(float) for name in ("cos_incidence", "cos_twist", "cos2_azimuth")
+        )
+        power = hits.weight.numpy() * sum(sigma.numpy() for sigma in render.sigma.values()).astype(float)
+        share = power / np.maximum(np.bincount(material, power), 1e-300)[material]
+        lies = (surface.spectrum == Spectrum.SEPARABLE) | (surface.aspect != 1.0)
+        at = np.stack(
+            [
+                np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))) / CELL_DEG,
+                twist**2 / CELL_TWIST,
+                np.where(lies[material], azimuth / CELL_AZIMUTH, 0.0),
+            ],
+            axis=1,
+        )
+        mine = np.flatnonzero(np.isin(material, materials))
+        keys = np.concatenate([material[mine, None], np.floor(at[mine]).astype(int)], axis=1)
+        _, kind = np.unique(keys, axis=0, return_inverse=True)
+        kind = kind.ravel()
+        keeps = np.bincount(kind, share[mine]) > LEAST_SHARE
+        number = np.where(keeps, np.cumsum(keeps) - 1, -1)
+        of_samples = np.full(material.size, -1)
+        of_samples[mine] = number[kind]
+        count = int(keeps.sum())
+        mine = np.flatnonzero(of_samples >= 0)
+        kind = of_samples[mine]
+        total = np.bincount(kind, power[mine], count)
+        middle = np.stack([np.bincount(kind, power[mine] * one, count) for one in at[mine].T], axis=1) / total[:, None]
+        off = ((at[mine] - middle[kind]) ** 2).sum(axis=1)
+        order = np.lexsort((off, kind))
+        hit = mine[order[np.searchsorted(kind[order], np.arange(count))]]
+        return cls(view, render, hit, material[hit]), of_samples, count
 
-    def end(self, k: int, way: float) -> float:
-        """The value of element k that is refused, from x upwards (`way` 1) or downwards (-1); infinite where none
-        is."""
-        low, high = (bound[k] for bound in self.problem.bounds)
-        room = high - self.x[k] if way > 0 else self.x[k] - low
-        straight = Z_95 * float(self.sd[k])
-        if not straight < room:
-            return way * np.inf
-        return float(self.x[k] + way * self._reach(k, way, straight, room))
 
-    def _reach(self, k: int, way: float, least: float, room: float) -> float:
-        """How far the profile reaches, `least` or farther; infinite beyond the `room` to the bound."""
-        inside, outside = (0.0, 0.0), (room, np.inf)  # step and root on either side of the end
-        step, along = least, self._straight(k)
-        for _ in range(MOST_TRIES):
-            best, loss = self._profile(k, way * step, along)
-            along = (best - self.x) / (way * step)
-            root = self._root(k, loss)
-            if abs(root - Z_95) < CLOSE * Z_95 or (root > Z_95 and step == least):
-                return step
-            if root < Z_95:
-                if step >= room:
-                    return np.inf
-                inside = step, root
-            else:
-                outside = step, root
-            step = self._between(inside, outside, room)
-        return step
+class _Shading(ViewRender):
+    """sigma0 of some hits at coordinates that are given to it, with the effects that act on surfaces."""
+
+    def __init__(self, like: _Kinds, hits: Hits, polarizations: Sequence[str]) -> None:
+        self.given: list[wp.array] = []
+        stage, shape = like.render.stage, like.render.shape
+        super().__init__(stage, like.view.view, hits, shape, tuple(polarizations), like.of_surfaces)
+        values = {e.effect.name: like.render.effect_values[e.effect.name].numpy() for e in like.of_surfaces}
+        self.set_parameters(None, values)
+
+    def _gather(self, face: wp.array, barycentric: wp.array, page: int) -> wp.array:
+        self.given.append(self.program.array(face.shape[0], wp.vec4))
+        return self.given[-1]
+
+    def at(self, coordinates: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Of each polarization, at coordinates of shape (n, p): sigma0, (n,), and its slopes to them, (n, p)."""
+        pages = np.split(coordinates.astype(np.float32), len(self.given), axis=1)
+        for array, values in zip(self.given, pages, strict=True):
+            array.assign(np.ascontiguousarray(values))
+        for sigma in self.sigma.values():
+            part = self.program.part([sigma], self.given)
+            part.forward(gradient=True)
+            part.backward({sigma: 1.0})
+            slopes = np.concatenate([array.grad.numpy() for array in self.given], axis=1)
+            yield sigma.numpy().astype(float), slopes.astype(float)
+
+
+@dataclass
+class _Curves:
+    """The likelihood of one material's curves, of which the elements `elements` of x decide, q of them.
+
+    -ln L is d' `information` d / 2 - `score` d beside the curves as fitted, at `fitted`, (q,). d is the change of their
+    logarithms, shape (curve,): polarization by polarization, and kind by kind. `place`, (q,): of each element among the
+    coordinates of a hit. `kinds`: those of each view that are the material's. `known` counts among its own elements.
+    """
+
+    elements: np.ndarray
+    place: np.ndarray
+    fitted: np.ndarray
+    information: np.ndarray
+    score: np.ndarray
+    kinds: Sequence[_Kinds]
+    polarizations: Sequence[str]
+    known: Sequence[Known]
+
+    def __post_init__(self) -> None:
+        kinds = [one for one in self.kinds if one.hit.size]
+        self._rows = max(1, TRIED // max(sum(one.hit.size for one in kinds), 1))
+        apart = any(one.of_surfaces for one in kinds)  # they may take a view's axes
+        groups: dict[object, list[_Kinds]] = {}
+        for k, one in enumerate(kinds):
+            groups.setdefault(k if apart else one.render.geometry.wavenumber, []).append(one)
+        # as many surfaces at once as `_rows`, all of their hits one after the other
+        self._parts = [
+            (
+                _Shading(group[0], _repeated(group, self._rows), self.polarizations),
+                np.concatenate([one.coordinates() for one in group]),
+            )
+            for group in groups.values()
+        ]
+        # kinds come view by view
+        self._order = np.argsort(
+            [k for group in groups.values() for one in group for k in [kinds.index(one)] * one.hit.size], kind="stable"
+        )
+        self._base = np.zeros(self.score.size)
+        self._base = self._logarithms(self.fitted[None])[0][0]
+
+    def _logarithms(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """ln sigma0 over that of the fit, (n, curve), and its slopes, (n, curve, q), of surfaces `at`, (n, q)."""
+        n, q = at.shape
+        values, slopes = np.zeros((n, self.score.size)), np.zeros((n, self.score.size, q))
+        for first in range(0, n, self._rows):
+            some = at[first : first + self._rows]
+            found = [list(shading.at(self._filled(some, own))) for shading, own in self._parts]
+            by_channel = []
+            for channel in range(len(self.polarizations) if found else 0):
+                sigma, slope = (
+                    np.concatenate([np.reshape(part[channel][k], (self._rows, -1, *tail)) for part in found], axis=1)
+                    for k, tail in ((0, ()), (1, (found[0][0][1].shape[1],)))
+                )
+                by_channel.append((sigma[: len(some), self._order], slope[: len(some), self._order]))
+            if by_channel:
+                sigma, slope = (np.concatenate(each, axis=1) for each in zip(*by_channel, strict=True))
+                values[first : first + len(some)] = np.log(np.maximum(sigma, TINY))
+                told = np.where(sigma > TINY, 1.0 / np.maximum(sigma, TINY), 0.0)[..., None]
+                slopes[first : first + len(some)] = slope[..., self.place] * told
+        return values - self._base, slopes
+
+    def _filled(self, some: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Coordinates of all hits of a part for the surfaces `some`; beyond these the last one stands again."""
+        found = np.repeat(own[None], self._rows, axis=0)
+        found[: len(some), :, self.place] = some[:, None, :]
+        found[len(some) :, :, self.place] = some[-1]
+        return found.reshape(-1, own.shape[1])
+
+    def losses(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """-ln L of surfaces `at`, (n, q), beside that of the fit, with its gradient, (n, q), and curvature, (n, q, q)."""
+        d, slopes = self._logarithms(at)
+        bent = d @ self.information
+        loss = np.sum((0.5 * bent - self.score) * d, axis=1)
+        gradient = np.einsum("nc,ncq->nq", bent - self.score, slopes)
+        curvature = np.einsum("ncp,ncq->npq", slopes, np.einsum("bc,ncq->nbq", self.information, slopes, optimize=True))
+        for one in self.known:
+            value, slope = (np.asarray(of(at[:, one.at]), float) for of in (one.value, one.slope))
+            off, slope = (value - one.about) / one.sd, slope / one.sd
+            loss += 0.5 * off**2
+            gradient[:, one.at] += off * slope
+            curvature[:, one.at, one.at] += slope**2
+        return loss, gradient, curvature
+
+
+def _repeated(group: Sequence[_Kinds], times: int) -> Hits:
+    """The hits of all kinds of some views, one after the other, and all of them so many `times`."""
+    like = group[0].render.shaded
+    arrays = {}
+    for name, dtype in ARRAYS.items():
+        values = np.concatenate([getattr(one.render.shaded, name).numpy()[one.hit] for one in group])
+        arrays[name] = wp.array(np.concatenate([values] * times), dtype=dtype, device=like.pixel.device)
+    arrays["pixel"].zero_()  # nothing is put into an image
+    return replace(like, **arrays, derived={})
+
+
+def _curves(problem: FitProblem, x: np.ndarray) -> Iterator[_Curves]:
+    """The likelihood of the curves of every material that is learned; none where it cannot be had."""
+    surface, own = problem.surface, dict[int, list[tuple[int, int]]]()
+    for at, block in enumerate(block for block in surface.blocks if block.learn):
+        m = surface.materials.index(block.material)
+        place = [kind.key for kind in places_of(surface.model[m])].index(block.kind.key)
+        own.setdefault(m, []).append((at, place))
+    found = problem.by_kind(x, lambda view, render: _Kinds.of(view, render, list(own)))
+    if found is None:
+        return
+    modelled, jacobians = problem.linearised(x)
+    polarizations = list(dict.fromkeys(seen.polarization for seen in problem.observations))
+    count = sum(kinds.hit.size for kinds, _ in found)
+    first = len(polarizations) * count
+    size = first + x.size + len(modelled)
+    information, score = np.zeros((size, size)), np.zeros(size)
+    observed = zip(problem.observations, jacobians, problem.curvatures(modelled), strict=True)
+    start, number = 0, 0
+    for kinds, shares in found:
+        for share, (seen, jacobian, curved) in zip(shares, observed):
+            if not problem.scene.grid.calibrated:
+                share = share - np.average(share, axis=0, weights=curved.weight)
+            columns = np.concatenate([share, jacobian], axis=1)
+            begin = polarizations.index(seen.polarization) * count + start
+            at = [*range(begin, begin + kinds.hit.size), first + x.size + number, *range(first, first + x.size)]
+            weighted = curved.weight[:, None] * columns
+            information[np.ix_(at, at)] += columns.T @ weighted
+            score[at] += weighted.T @ curved.residual
+            number += 1
+        start += kinds.hit.size
+    of_x = slice(first, first + x.size)
+    information[of_x, of_x] += problem.prior.information(x)
+    score[of_x] -= problem.prior.gradient(x)
+    material = np.tile(np.concatenate([kinds.material for kinds, _ in found]), len(polarizations))
+    for m, elements in own.items():
+        mine, places = (np.array(each) for each in zip(*elements, strict=True))
+        curve = np.flatnonzero(material == m)
+        others = np.setdiff1d(np.arange(first, size), first + mine)
+        known = [replace(k, at=int(np.flatnonzero(mine == k.at)[0])) for k in problem.prior.known if k.at in mine]
+        yield _Curves(
+            mine,
+            places,
+            x[mine],
+            *_beside(information, score, curve, others),
+            [kinds.of_material(m) for kinds, _ in found],
+            polarizations,
+            known,
+        )
+
+
+def _beside(
+    information: np.ndarray, score: np.ndarray, mine: np.ndarray, others: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Information and score of `mine` where `others` are free (Schur's complement)."""
+    inner = information[np.ix_(others, others)]
+    scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
+    inverse = np.linalg.pinv(inner / np.outer(scale, scale), rcond=1e-9, hermitian=True) / np.outer(scale, scale)
+    across = information[np.ix_(mine, others)] @ inverse
+    return (
+        information[np.ix_(mine, mine)] - across @ information[np.ix_(others, mine)],
+        score[mine] - across @ score[others],
+    )
+
+
+# ---- the search of a box ----
+
+
+class _Search:
+    """Profiles of one material's likelihood over its whole `box`, shape (q, 2), from the fit at `x`, (q,).
+
+    `wider`, (q,): what 2 ln L is divided by.
+    """
+
+    def __init__(self, curves: _Curves, box: np.ndarray, wider: np.ndarray, x: np.ndarray) -> None:
+        self._curves, self._box, self._wider, self._x = curves, box, wider, np.clip(x, *box.T)
+        q = len(box)
+        self._axes = [np.linspace(*ends, max(3, int(TRIED ** (1.0 / q)))) for ends in box]
+        self._grid = np.stack(np.meshgrid(*self._axes, indexing="ij"), axis=-1)
+        self._losses = self._losses_of(self._grid.reshape(-1, q)).reshape(self._grid.shape[:-1])
+        free, losses = self._descended(
+            np.concatenate([self._x[None], self._lowest(self._losses, self._grid, 4 * STARTS)]), np.ones(q, bool)
+        )
+        self._free, self._free_losses = free, losses
+        self._least = float(losses.min())
+
+    def _losses_of(self, at: np.ndarray) -> np.ndarray:
+        rows = 4096
+        return np.concatenate([self._curves.losses(at[k : k + rows])[0] for k in range(0, len(at), rows)])
 
     @staticmethod
-    def _between(inside: tuple[float, float], outside: tuple[float, float], room: float) -> float:
-        """Where the root would be `Z_95`: it rises about evenly with the step."""
-        if np.isfinite(outside[1]):
-            share = (Z_95 - inside[1]) / (outside[1] - inside[1])
-            return inside[0] + float(np.clip(share, 0.05, 0.95)) * (outside[0] - inside[0])
-        return min(inside[0] * float(np.clip(1.05 * Z_95 / max(inside[1], 1e-6), 1.2, 3.0)), room)
+    def _lowest(losses: np.ndarray, places: np.ndarray, count: int) -> np.ndarray:
+        """The lowest `count` local minima of a grid, shape (n, q)."""
+        valleys = np.flatnonzero((losses == minimum_filter(losses, size=3, mode="nearest")).ravel())
+        best = valleys[np.argsort(losses.ravel()[valleys], kind="stable")[:count]]
+        return np.asarray(places.reshape(-1, places.shape[-1])[best])
 
-    def _root(self, k: int, loss: float) -> float:
-        return float(np.sqrt(max(2.0 * (loss - self.loss) / self.wider[k], 0.0)))
+    def _descended(self, start: np.ndarray, moving: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Where Levenberg-Marquardt's method leads to within the box, from each of `start`, (n, q), and the losses.
 
-    def _straight(self, k: int) -> np.ndarray:
-        """How all elements follow element k along a straight valley, for each unit of it, shape (p,)."""
-        along = self.covariance[:, k] / max(self.covariance[k, k], 1e-300)
-        along[k] = 1.0
-        return along
-
-    def _profile(self, k: int, step: float, along: np.ndarray) -> tuple[np.ndarray, float]:
-        """The likeliest x with element k moved by `step`, and its loss. The fit starts where all follow it as `along`
-        says, or in a straight valley, whichever is likelier."""
-        starts = [np.clip(self.x + step * each, *self.problem.bounds) for each in (self._straight(k), along)]
-        start = min(starts, key=lambda each: _loss(self.problem, each))
-        start[k] = self.x[k] + step
-        moving = np.arange(self.x.size) != k
-        state = FitState(start, np.inf, start, np.inf)
-        for _ in range(MOST_STEPS):
-            state = levenberg_marquardt(self.problem, state, moving, flat=FLAT)
-            if state.arrived:
+        Coordinates move where `moving`, (n, q) or (q,), says so.
+        """
+        at, damping = np.clip(start, *self._box.T), np.full(len(start), 1e-3)
+        moving = np.broadcast_to(moving, at.shape)
+        loss, gradient, curvature = self._curves.losses(at)
+        busy = np.arange(len(at))
+        for _ in range(STEPS):
+            here, slope, bend = at[busy], gradient[busy], curvature[busy].copy()
+            low, high = self._box.T
+            held = ~moving[busy] | ((here <= low) & (slope > 0)) | ((here >= high) & (slope < 0))
+            slope = np.where(held, 0.0, slope)
+            bend[held[:, :, None] | held[:, None, :]] = 0.0
+            own = np.einsum("nqq->nq", bend)
+            scale = np.sqrt(np.where(held | (own <= 0.0), 1.0, own))
+            unit = bend / scale[:, :, None] / scale[:, None, :]
+            unit[:, range(len(low)), range(len(low))] = 1.0 + damping[busy, None]
+            step = -np.linalg.solve(unit, (slope / scale)[..., None])[..., 0] / scale
+            step /= np.maximum(np.abs(step).max(axis=1, keepdims=True) / LONGEST, 1.0)
+            there = np.where(held, here, np.clip(here + step, low, high))
+            new = self._curves.losses(there)
+            better = new[0] < loss[busy]
+            gained = np.where(better, loss[busy] - new[0], 0.0)
+            moved = busy[better]
+            at[moved], loss[moved] = there[better], new[0][better]
+            gradient[moved], curvature[moved] = new[1][better], new[2][better]
+            ended = np.where(better, 2.0 * gained < FLAT, damping[busy] > 1e6)
+            damping[busy] = np.clip(damping[busy] * np.where(better, 0.1, 10.0), 1e-6, 1e8)
+            busy = busy[~ended]
+            if not busy.size:
                 break
-        return np.asarray(state.best_x), state.best_loss
+        return at, loss
+
+    def ends(self) -> np.ndarray:
+        """Both ends of each interval, shape (q, 2); those at the box's ends are its own."""
+        held, found = zip(*(self._profile(k) for k in range(len(self._box))), strict=True)
+        self._least = min(self._least, *(float(losses.min()) for _, losses in found))
+        ends, sought = self._box.copy(), list[_End]()
+        for k, (values, (places, losses)) in enumerate(zip(held, found, strict=True)):
+            roots = self._roots(k, losses)
+            fits = np.flatnonzero((roots <= Z_95) | (values == self._x[k]))
+            for side, (inner, outer) in enumerate(((fits[0], fits[0] - 1), (fits[-1], fits[-1] + 1))):
+                if 0 <= outer < values.size:
+                    sought.append(_End(k, side, *(_Held(places[i], float(roots[i])) for i in (inner, outer))))
+        for one in self._refined(sought):
+            ends[one.element, one.side] = one.inside.place[one.element]
+        return ends
+
+    def _roots(self, k: int | np.ndarray, losses: np.ndarray) -> np.ndarray:
+        return np.sqrt(np.maximum(2.0 * (losses - self._least) / self._wider[k], 0.0))
+
+    def _profile(self, k: int) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+        """Values of element k over the whole box, (n,), and the likeliest surfaces beside each, with their losses."""
+        limit = self._least + 0.5 * Z_95**2 * self._wider[k]
+        values = np.unique(np.concatenate([self._axes[k], self._free[self._free_losses <= limit, k], self._x[k : k + 1]]))
+        nearest = np.abs(values[:, None] - self._axes[k]).argmin(axis=1)
+        starts, of = [], []
+        for i, slab in enumerate(nearest):
+            low = self._lowest(np.take(self._losses, slab, axis=k), np.take(self._grid, slab, axis=k), STARTS)
+            starts.append(np.concatenate([low, self._x[None], self._free[self._free_losses <= limit]]))
+            of.append(np.full(len(starts[-1]), i))
+        best, losses = self._held(k, values, np.concatenate(starts), np.concatenate(of))
+        for _ in range(2):  # a valley that one value found may go on to its neighbours
+            n = np.arange(values.size)
+            beside = np.concatenate([best[np.maximum(n - 1, 0)], best[np.minimum(n + 1, n[-1])], best])
+            best, losses = self._held(k, values, beside, np.tile(n, 3))
+        return values, (best, losses)
+
+    def _held(self, k: int, values: np.ndarray, starts: np.ndarray, of: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The likeliest surface with element k at each of the `values`; each of `starts` is for the value `of` it."""
+        starts = starts.copy()
+        starts[:, k] = values[of]
+        places, losses = self._descended(starts, np.arange(len(self._box)) != k)
+        order = np.lexsort((losses, of))
+        first = order[np.searchsorted(of[order], np.arange(values.size))]
+        return places[first], losses[first]
+
+    def _refined(self, sought: list[_End]) -> list[_End]:
+        """The ends, all at once: each between a value that fits and one that does not."""
+        for _ in range(HALVINGS):
+            open_ones = [one for one in sought if not one.found]
+            if not open_ones:
+                break
+            shares = np.array([one.share for one in open_ones])
+            inside, outside = (np.array([getattr(one, name).place for one in open_ones]) for name in ("inside", "outside"))
+            between = inside + shares[:, None] * (outside - inside)
+            element = np.array([one.element for one in open_ones])
+            n = np.arange(len(open_ones))
+            starts = np.concatenate([between, inside, outside])
+            rows = np.tile(n, 3)
+            starts[np.arange(len(starts)), element[rows]] = between[n, element][rows]
+            places, losses = self._descended(starts, np.arange(len(self._box)) != element[rows][:, None])
+            least = losses.reshape(3, -1).argmin(axis=0) * len(n) + n
+            for one, place, root in zip(open_ones, places[least], self._roots(element, losses[least]), strict=True):
+                one.meet(_Held(place, float(root)))
+        return sought
 
 
-def _loss(problem: FitProblem, x: np.ndarray) -> float:
-    return problem.value(problem.modelled(x)) + problem.penalty(x)
+@dataclass(frozen=True)
+class _Held:
+    """The likeliest surface with one element held, and the root of what 2 ln L falls by."""
+
+    place: np.ndarray
+    root: float
+
+
+@dataclass
+class _End:
+    """An end of the interval of an element, the lower (`side` 0) or the upper one, between two values of it."""
+
+    element: int
+    side: int
+    inside: _Held
+    outside: _Held
+
+    @property
+    def found(self) -> bool:
+        gap = abs(self.outside.place[self.element] - self.inside.place[self.element])
+        return Z_95 - self.inside.root < CLOSE * Z_95 or gap < 1e-4
+
+    @property
+    def share(self) -> float:
+        """Where between the two the root would be `Z_95`, if it rose evenly."""
+        rise = self.outside.root - self.inside.root
+        return float(np.clip((Z_95 - self.inside.root) / rise, 0.02, 0.9)) if np.isfinite(rise) and rise > 0 else 0.5
+
+    def meet(self, new: _Held) -> None:
+        if new.root <= Z_95:
+            self.inside = new
+        else:
+            self.outside = new
