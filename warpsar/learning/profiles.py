@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import warp as wp
 from scipy.ndimage import minimum_filter
+from scipy.sparse import coo_array
 
 from warpsar.effects.base.effect import DeclaredEffect
 from warpsar.kernels.codes import Spectrum
@@ -30,14 +31,21 @@ from warpsar.render.render import ViewRender
 from warpsar.surface.surface import places_of
 from warpsar.trace.hits import ARRAYS, Hits
 
-CELL_DEG, CELL_TWIST, CELL_AZIMUTH = 2.0, 0.1, 0.25  # hits of one kind: incidence, and the squares of two cosines
+CELL_DEG, CELL_TWIST, CELL_AZIMUTH = 3.0, 0.2, 0.25  # hits of one kind: incidence, and the squares of two cosines
 LEAST_SHARE = 1e-4  # of a material's power in a view: less is no kind, and stands as it was fitted
-TRIED = 16384  # surfaces on the grid over the box, and hits that are shaded at once
-STARTS = 5  # of each value that is held, and four times as many of free surfaces
+AT_ONCE = 16384  # hits that are shaded together
+TRIED = 4096  # surfaces on the grid over the box
+STARTS = 3  # of each value that is held, and four times as many of free surfaces
+APART = 0.5  # in a coordinate: likeliest surfaces that are nearer to each other are one
+HOPELESS = 0.05  # of what a surface must still gain to fit: a step of a descent that gains less is its last
+SWEEPS = 6  # over values that are refused beside one that fits: its valley may go on to them
 STEPS, LONGEST = 30, 2.0  # of a descent, and its longest step in a coordinate
 FLAT = 1e-4  # of 2 ln L: a descent that gains less has ended
 CLOSE, HALVINGS = 0.02, 10  # of the root of what 2 ln L falls by: an end that is off by less is found
 TINY = 1e-35  # sigma0 that float32 still holds
+BENDS = np.linspace(-8.0, 8.0, 401)  # the change d of a logarithm is BEND sinh of one of them
+BEND = 0.05
+SHARES = np.geomspace(1e-4, 1.0, 33)  # of a material in a pixel: edges of classes
 
 
 def with_profiles(problem: FitProblem, x: np.ndarray, identified: Identified) -> Identified:
@@ -153,17 +161,20 @@ class _Shading(ViewRender):
         self.given.append(self.program.array(face.shape[0], wp.vec4))
         return self.given[-1]
 
-    def at(self, coordinates: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Of each polarization, at coordinates of shape (n, p): sigma0, (n,), and its slopes to them, (n, p)."""
+    def at(self, coordinates: np.ndarray, slopes: bool) -> Iterator[np.ndarray]:
+        """Of each polarization, at coordinates of shape (n, p): sigma0 and, where asked for, its `slopes` to them, shape
+        (n, 1 + p) or (n, 1), float64."""
         pages = np.split(coordinates.astype(np.float32), len(self.given), axis=1)
         for array, values in zip(self.given, pages, strict=True):
             array.assign(np.ascontiguousarray(values))
         for sigma in self.sigma.values():
             part = self.program.part([sigma], self.given)
-            part.forward(gradient=True)
-            part.backward({sigma: 1.0})
-            slopes = np.concatenate([array.grad.numpy() for array in self.given], axis=1)
-            yield sigma.numpy().astype(float), slopes.astype(float)
+            part.forward(gradient=slopes)
+            columns = [sigma.numpy()[:, None]]
+            if slopes:
+                part.backward({sigma: 1.0})
+                columns += [array.grad.numpy() for array in self.given]
+            yield np.concatenate(columns, axis=1, dtype=float)
 
 
 @dataclass
@@ -171,8 +182,9 @@ class _Curves:
     """The likelihood of one material's curves, of which the elements `elements` of x decide, q of them.
 
     -ln L is d' `information` d / 2 - `score` d beside the curves as fitted, at `fitted`, (q,). d is the change of their
-    logarithms, shape (curve,): polarization by polarization, and kind by kind. `place`, (q,): of each element among the
-    coordinates of a hit. `kinds`: those of each view that are the material's. `known` counts among its own elements.
+    logarithms, `bent`, shape (curve,): polarization by polarization, and kind by kind. `place`, (q,): of each element
+    among the coordinates of a hit. `kinds`: those of each view that are the material's. `known` counts among its own
+    elements.
     """
 
     elements: np.ndarray
@@ -183,10 +195,11 @@ class _Curves:
     kinds: Sequence[_Kinds]
     polarizations: Sequence[str]
     known: Sequence[Known]
+    bent: _Bent
 
     def __post_init__(self) -> None:
         kinds = [one for one in self.kinds if one.hit.size]
-        self._rows = max(1, TRIED // max(sum(one.hit.size for one in kinds), 1))
+        self._rows = max(1, AT_ONCE // max(sum(one.hit.size for one in kinds), 1))
         apart = any(one.of_surfaces for one in kinds)  # they may take a view's axes
         groups: dict[object, list[_Kinds]] = {}
         for k, one in enumerate(kinds):
@@ -204,28 +217,25 @@ class _Curves:
             [k for group in groups.values() for one in group for k in [kinds.index(one)] * one.hit.size], kind="stable"
         )
         self._base = np.zeros(self.score.size)
-        self._base = self._logarithms(self.fitted[None])[0][0]
+        self._base = self._logarithms(self.fitted[None], False)[0][0]
 
-    def _logarithms(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _logarithms(self, at: np.ndarray, slopes: bool) -> tuple[np.ndarray, np.ndarray]:
         """ln sigma0 over that of the fit, (n, curve), and its slopes, (n, curve, q), of surfaces `at`, (n, q)."""
-        n, q = at.shape
-        values, slopes = np.zeros((n, self.score.size)), np.zeros((n, self.score.size, q))
-        for first in range(0, n, self._rows):
+        q = len(self.place) if slopes else 0
+        whole = np.zeros((len(at), self.score.size, 1 + q))
+        for first in range(0, len(at) if self._parts else 0, self._rows):
             some = at[first : first + self._rows]
-            found = [list(shading.at(self._filled(some, own))) for shading, own in self._parts]
-            by_channel = []
-            for channel in range(len(self.polarizations) if found else 0):
-                sigma, slope = (
-                    np.concatenate([np.reshape(part[channel][k], (self._rows, -1, *tail)) for part in found], axis=1)
-                    for k, tail in ((0, ()), (1, (found[0][0][1].shape[1],)))
-                )
-                by_channel.append((sigma[: len(some), self._order], slope[: len(some), self._order]))
-            if by_channel:
-                sigma, slope = (np.concatenate(each, axis=1) for each in zip(*by_channel, strict=True))
-                values[first : first + len(some)] = np.log(np.maximum(sigma, TINY))
-                told = np.where(sigma > TINY, 1.0 / np.maximum(sigma, TINY), 0.0)[..., None]
-                slopes[first : first + len(some)] = slope[..., self.place] * told
-        return values - self._base, slopes
+            found = zip(*(shading.at(self._filled(some, own), slopes) for shading, own in self._parts), strict=True)
+            columns = [0, *(1 + self.place)] if slopes else [0]
+            channels = [
+                np.concatenate([one.reshape(self._rows, -1, one.shape[1])[: len(some)] for one in parts], axis=1)
+                for parts in found
+            ]
+            whole[first : first + len(some)] = np.concatenate([one[:, self._order] for one in channels], axis=1)[
+                ..., columns
+            ]
+        sigma = np.maximum(whole[..., 0], TINY)
+        return np.log(sigma) - self._base, np.where(whole[..., :1] > TINY, whole[..., 1:] / sigma[..., None], 0.0)
 
     def _filled(self, some: np.ndarray, own: np.ndarray) -> np.ndarray:
         """Coordinates of all hits of a part for the surfaces `some`; beyond these the last one stands again."""
@@ -234,20 +244,72 @@ class _Curves:
         found[len(some) :, :, self.place] = some[-1]
         return found.reshape(-1, own.shape[1])
 
-    def losses(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """-ln L of surfaces `at`, (n, q), beside that of the fit, with its gradient, (n, q), and curvature, (n, q, q)."""
-        d, slopes = self._logarithms(at)
-        bent = d @ self.information
-        loss = np.sum((0.5 * bent - self.score) * d, axis=1)
-        gradient = np.einsum("nc,ncq->nq", bent - self.score, slopes)
-        curvature = np.einsum("ncp,ncq->npq", slopes, np.einsum("bc,ncq->nbq", self.information, slopes, optimize=True))
+    def losses(self, at: np.ndarray) -> np.ndarray:
+        """-ln L of surfaces `at`, (n, q), beside that of the fit, (n,)."""
+        d, _ = self.bent.of(self._logarithms(at, False)[0])
+        return self._of(d @ self.information, d) + sum(0.5 * off**2 for _, off, _ in self._priors(at))
+
+    def expanded(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """`losses` with their gradients, (n, q), and curvatures, (n, q, q)."""
+        d, slopes = self._logarithms(at, True)
+        d, bend = self.bent.of(d)
+        slopes *= bend[..., None]
+        pulled, across = d @ self.information, slopes.transpose(0, 2, 1)
+        loss = self._of(pulled, d)
+        gradient = (across @ (pulled - self.score)[..., None])[..., 0]
+        curvature = across @ (self.information @ slopes)
+        for k, off, slope in self._priors(at):
+            loss += 0.5 * off**2
+            gradient[:, k] += off * slope
+            curvature[:, k, k] += slope**2
+        return loss, gradient, curvature
+
+    def _of(self, pulled: np.ndarray, d: np.ndarray) -> np.ndarray:
+        return np.asarray(np.sum((0.5 * pulled - self.score) * d, axis=1))
+
+    def _priors(self, at: np.ndarray) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
+        """Of each known element: its place, deviations in standard deviations, (n,), and their slopes."""
         for one in self.known:
             value, slope = (np.asarray(of(at[:, one.at]), float) for of in (one.value, one.slope))
-            off, slope = (value - one.about) / one.sd, slope / one.sd
-            loss += 0.5 * off**2
-            gradient[:, one.at] += off * slope
-            curvature[:, one.at, one.at] += slope**2
-        return loss, gradient, curvature
+            yield one.at, (value - one.about) / one.sd, slope / one.sd
+
+
+@dataclass(frozen=True)
+class _Bent:
+    """Logarithms of power bent so that the likelihood is a parabola along each.
+
+    In a pixel of which the material has the share S, power that changes by e^d costs ln m + 1 / m - 1 of the gamma
+    likelihood, m = 1 + S (e^d - 1), and not S^2 d^2 / 2. Less power can at most take the share away, and more of it is
+    soon more than the pixel has. `values`, shape (curve, BENDS), are the roots of twice that, of all pixels of a kind
+    together, over that of their information.
+    """
+
+    values: np.ndarray
+
+    @classmethod
+    def over(cls, weights: np.ndarray | None, count: int) -> _Bent:
+        """`weights`: of each curve's pixels in each class of `SHARES`, shape (curve, classes); None: nothing is bent."""
+        d = BEND * np.sinh(BENDS)
+        if weights is None:
+            return cls(np.tile(d, (count, 1)))
+        share = np.sqrt(SHARES[1:] * SHARES[:-1])
+        share[-1] = 1.0  # most pixels have one material
+        power = (1.0 - share[:, None]) + share[:, None] * np.exp(d)
+        cost = np.log(power) + 1.0 / power - 1.0
+        told = np.maximum(weights @ share**2, 1e-300)
+        bent = np.sign(d) * np.sqrt(np.maximum(2.0 * (weights @ cost) / told[:, None], 0.0))
+        return cls(np.where((weights > 0.0).any(axis=1)[:, None], bent, d))
+
+    def of(self, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The bent logarithms of d, shape (n, curve), and their slopes."""
+        ends = BEND * np.sinh(BENDS[[0, -1]])
+        at = (np.arcsinh(np.clip(d, *ends) / BEND) - BENDS[0]) / (BENDS[1] - BENDS[0])
+        left = np.clip(at.astype(int), 0, BENDS.size - 2)
+        curve = np.arange(d.shape[1])
+        low, high = self.values[curve, left], self.values[curve, left + 1]
+        first, last = (BEND * np.sinh(BENDS[left + k]) for k in (0, 1))
+        slope = (high - low) / (last - first)
+        return low + slope * (np.clip(d, *ends) - first), slope
 
 
 def _repeated(group: Sequence[_Kinds], times: int) -> Hits:
@@ -278,6 +340,8 @@ def _curves(problem: FitProblem, x: np.ndarray) -> Iterator[_Curves]:
     size = first + x.size + len(modelled)
     information, score = np.zeros((size, size)), np.zeros(size)
     observed = zip(problem.observations, jacobians, problem.curvatures(modelled), strict=True)
+    bends = problem.loss == "gamma" and problem.scene.grid.calibrated
+    pixels = np.zeros((first, SHARES.size - 1))
     start, number = 0, 0
     for kinds, shares in found:
         for share, (seen, jacobian, curved) in zip(shares, observed):
@@ -285,6 +349,7 @@ def _curves(problem: FitProblem, x: np.ndarray) -> Iterator[_Curves]:
                 share = share - np.average(share, axis=0, weights=curved.weight)
             columns = np.concatenate([share, jacobian], axis=1)
             begin = polarizations.index(seen.polarization) * count + start
+            pixels[begin : begin + kinds.hit.size] = _classes(share[:, :-1], kinds.material, curved.weight)
             at = [*range(begin, begin + kinds.hit.size), first + x.size + number, *range(first, first + x.size)]
             weighted = curved.weight[:, None] * columns
             information[np.ix_(at, at)] += columns.T @ weighted
@@ -308,7 +373,25 @@ def _curves(problem: FitProblem, x: np.ndarray) -> Iterator[_Curves]:
             [kinds.of_material(m) for kinds, _ in found],
             polarizations,
             known,
+            _Bent.over(pixels[curve] if bends else None, curve.size),
         )
+
+
+def _classes(share: np.ndarray, material: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """How much of the pixels' `weight` each kind has where its material has a share of each class, (kinds, classes).
+
+    `share`, (pixels, kinds), is that of each kind, `material` the kinds'.
+    """
+    found = np.zeros((material.size, SHARES.size - 1))
+    for m in np.unique(material):
+        mine = np.flatnonzero(material == m)
+        own = np.maximum(share[:, mine], 0.0)
+        whole = own.sum(axis=1)
+        lit = np.flatnonzero(whole > SHARES[0])
+        sort = np.clip(np.searchsorted(SHARES, whole[lit]) - 1, 0, SHARES.size - 2)
+        part = coo_array((weight[lit] / whole[lit], (sort, lit)), (SHARES.size - 1, len(share)))
+        found[mine] = (part @ own).T
+    return found
 
 
 def _beside(
@@ -337,18 +420,20 @@ class _Search:
     def __init__(self, curves: _Curves, box: np.ndarray, wider: np.ndarray, x: np.ndarray) -> None:
         self._curves, self._box, self._wider, self._x = curves, box, wider, np.clip(x, *box.T)
         q = len(box)
-        self._axes = [np.linspace(*ends, max(3, int(TRIED ** (1.0 / q)))) for ends in box]
+        self._axes = [np.linspace(*ends, max(3, round(TRIED ** (1.0 / q)))) for ends in box]
         self._grid = np.stack(np.meshgrid(*self._axes, indexing="ij"), axis=-1)
-        self._losses = self._losses_of(self._grid.reshape(-1, q)).reshape(self._grid.shape[:-1])
-        free, losses = self._descended(
-            np.concatenate([self._x[None], self._lowest(self._losses, self._grid, 4 * STARTS)]), np.ones(q, bool)
-        )
-        self._free, self._free_losses = free, losses
+        self._losses = curves.losses(self._grid.reshape(-1, q)).reshape(self._grid.shape[:-1])
+        self._least = 0.0
+        lowest = self._lowest(self._losses, self._grid, 4 * STARTS)
+        free, losses = self._descended(np.concatenate([self._x[None], lowest]), np.ones(q, bool))
         self._least = float(losses.min())
+        fit = losses <= self._least + self._limit(wider.max())
+        self._free = _apart(np.concatenate([self._x[None], free[fit][np.argsort(losses[fit])]]))
 
-    def _losses_of(self, at: np.ndarray) -> np.ndarray:
-        rows = 4096
-        return np.concatenate([self._curves.losses(at[k : k + rows])[0] for k in range(0, len(at), rows)])
+    @staticmethod
+    def _limit(wider: float | np.ndarray) -> float | np.ndarray:
+        """By how much -ln L may fall."""
+        return 0.5 * Z_95**2 * wider
 
     @staticmethod
     def _lowest(losses: np.ndarray, places: np.ndarray, count: int) -> np.ndarray:
@@ -364,7 +449,7 @@ class _Search:
         """
         at, damping = np.clip(start, *self._box.T), np.full(len(start), 1e-3)
         moving = np.broadcast_to(moving, at.shape)
-        loss, gradient, curvature = self._curves.losses(at)
+        loss, gradient, curvature = self._curves.expanded(at)
         busy = np.arange(len(at))
         for _ in range(STEPS):
             here, slope, bend = at[busy], gradient[busy], curvature[busy].copy()
@@ -379,13 +464,14 @@ class _Search:
             step = -np.linalg.solve(unit, (slope / scale)[..., None])[..., 0] / scale
             step /= np.maximum(np.abs(step).max(axis=1, keepdims=True) / LONGEST, 1.0)
             there = np.where(held, here, np.clip(here + step, low, high))
-            new = self._curves.losses(there)
+            new = self._curves.expanded(there)
             better = new[0] < loss[busy]
             gained = np.where(better, loss[busy] - new[0], 0.0)
             moved = busy[better]
             at[moved], loss[moved] = there[better], new[0][better]
             gradient[moved], curvature[moved] = new[1][better], new[2][better]
-            ended = np.where(better, 2.0 * gained < FLAT, damping[busy] > 1e6)
+            far = loss[busy] - self._least - self._limit(self._wider.max())
+            ended = np.where(better, gained < np.maximum(0.5 * FLAT, HOPELESS * far), damping[busy] > 1e6)
             damping[busy] = np.clip(damping[busy] * np.where(better, 0.1, 10.0), 1e-6, 1e8)
             busy = busy[~ended]
             if not busy.size:
@@ -412,19 +498,30 @@ class _Search:
 
     def _profile(self, k: int) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
         """Values of element k over the whole box, (n,), and the likeliest surfaces beside each, with their losses."""
-        limit = self._least + 0.5 * Z_95**2 * self._wider[k]
-        values = np.unique(np.concatenate([self._axes[k], self._free[self._free_losses <= limit, k], self._x[k : k + 1]]))
+        values = np.unique(np.concatenate([self._axes[k], self._free[:, k]]))
         nearest = np.abs(values[:, None] - self._axes[k]).argmin(axis=1)
         starts, of = [], []
         for i, slab in enumerate(nearest):
             low = self._lowest(np.take(self._losses, slab, axis=k), np.take(self._grid, slab, axis=k), STARTS)
-            starts.append(np.concatenate([low, self._x[None], self._free[self._free_losses <= limit]]))
-            of.append(np.full(len(starts[-1]), i))
-        best, losses = self._held(k, values, np.concatenate(starts), np.concatenate(of))
-        for _ in range(2):  # a valley that one value found may go on to its neighbours
-            n = np.arange(values.size)
-            beside = np.concatenate([best[np.maximum(n - 1, 0)], best[np.minimum(n + 1, n[-1])], best])
-            best, losses = self._held(k, values, beside, np.tile(n, 3))
+            starts += [low, self._free]
+            of += [i] * (len(low) + len(self._free))
+        best, losses = self._held(k, values, np.concatenate(starts), np.array(of))
+        for _ in range(SWEEPS):
+            fits = losses <= self._least + self._limit(self._wider[k])
+            pairs = [
+                (i, j)
+                for i in np.flatnonzero(~fits)
+                for j in (i - 1, i + 1)
+                if 0 <= j < values.size and fits[j]
+            ]
+            if not pairs:
+                break
+            to, by = np.array(pairs).T
+            places, new = self._held(k, values[to], best[by], np.arange(len(to)))
+            lower = new < losses[to] - 0.5 * FLAT
+            best[to[lower]], losses[to[lower]] = places[lower], new[lower]
+            if not (new[lower] <= self._least + self._limit(self._wider[k])).any():
+                break
         return values, (best, losses)
 
     def _held(self, k: int, values: np.ndarray, starts: np.ndarray, of: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -455,6 +552,15 @@ class _Search:
             for one, place, root in zip(open_ones, places[least], self._roots(element, losses[least]), strict=True):
                 one.meet(_Held(place, float(root)))
         return sought
+
+
+def _apart(places: np.ndarray) -> np.ndarray:
+    """Those of `places`, (n, q), that lie apart from all before them."""
+    kept = [0]
+    for i in range(1, len(places)):
+        if np.abs(places[i] - places[kept]).max(axis=1).min() > APART:
+            kept.append(i)
+    return np.asarray(places[kept])
 
 
 @dataclass(frozen=True)
