@@ -33,7 +33,7 @@ from warpsar.trace.hits import ARRAYS, Hits
 
 CELL_DEG, CELL_TWIST, CELL_AZIMUTH = 3.0, 0.2, 0.25  # hits of one kind: incidence, and the squares of two cosines
 LEAST_SHARE = 1e-4  # of a material's power in a view: less is no kind, and stands as it was fitted
-AT_ONCE = 16384  # hits that are shaded together
+AT_ONCE = 2048  # hits that are shaded together
 TRIED = 4096  # surfaces on the grid over the box
 STARTS = 3  # of each value that is held, and four times as many of free surfaces
 APART = 0.5  # in a coordinate: likeliest surfaces that are nearer to each other are one
