@@ -56,11 +56,22 @@ class Identified:
     def interval_95(self, at: int, value: float) -> np.ndarray:
         """Both ends, shape (2,), of element `at` of x about its `value`, in its coordinate; infinite where it is open.
 
-        By the profile of the likelihood where that is known (`ends`), else value +- 1.96 standard deviations.
+        By the profile of the likelihood where that is known (`ends`; both are infinite where every value fits, and one
+        is a bound of the fit where nothing on that side is refused), else value +- 1.96 standard deviations.
         """
         if self.ends is not None:
             return np.asarray(self.ends[at])
         return value + np.array([-Z_95, Z_95]) * self.sd[at]
+
+    def tells(self, at: int) -> bool:
+        """Whether the interval of an element is worth printing."""
+        if self.ends is not None:
+            return bool(np.isfinite(self.ends[at]).any())
+        return bool(self.sd[at] < 3.0)
+
+    def interval_from(self, at: int) -> str:
+        """Where `interval_95` comes from."""
+        return "profile" if self.by_profile is not None and self.by_profile[at] else "standard deviation"
 
     @property
     def undetermined(self) -> list[str]:

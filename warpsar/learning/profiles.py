@@ -34,7 +34,7 @@ from warpsar.trace.hits import ARRAYS, Hits
 CELL_DEG, CELL_TWIST, CELL_AZIMUTH = 3.0, 0.2, 0.25  # hits of one kind: incidence, and the squares of two cosines
 LEAST_SHARE = 1e-4  # of a material's power in a view: less is no kind, and stands as it was fitted
 AT_ONCE = 2048  # hits that are shaded together
-TRIED = 4096  # surfaces on the grid over the box
+TRIED, MOST_VALUES = 4096, 48  # surfaces on the grid over the box, and values of an element there
 STARTS = 3  # of each value that is held, and four times as many of free surfaces
 APART = 0.5  # in a coordinate: likeliest surfaces that are nearer to each other are one
 HOPELESS = 0.05  # of what a surface must still gain to fit: a step of a descent that gains less is its last
@@ -198,24 +198,21 @@ class _Curves:
     bent: _Bent
 
     def __post_init__(self) -> None:
-        kinds = [one for one in self.kinds if one.hit.size]
-        self._rows = max(1, AT_ONCE // max(sum(one.hit.size for one in kinds), 1))
-        apart = any(one.of_surfaces for one in kinds)  # they may take a view's axes
-        groups: dict[object, list[_Kinds]] = {}
-        for k, one in enumerate(kinds):
-            groups.setdefault(k if apart else one.render.geometry.wavenumber, []).append(one)
+        self._rows = max(1, AT_ONCE // max(sum(one.hit.size for one in self.kinds), 1))
+        apart = any(one.of_surfaces for one in self.kinds)  # they may take a view's axes
+        groups: dict[object, list[int]] = {}
+        for k, one in enumerate(self.kinds):
+            if one.hit.size:
+                groups.setdefault(k if apart else one.render.geometry.wavenumber, []).append(k)
         # as many surfaces at once as `_rows`, all of their hits one after the other
-        self._parts = [
-            (
-                _Shading(group[0], _repeated(group, self._rows), self.polarizations),
-                np.concatenate([one.coordinates() for one in group]),
-            )
-            for group in groups.values()
-        ]
-        # kinds come view by view
-        self._order = np.argsort(
-            [k for group in groups.values() for one in group for k in [kinds.index(one)] * one.hit.size], kind="stable"
-        )
+        self._parts = []
+        for group in groups.values():
+            mine = [self.kinds[k] for k in group]
+            shading = _Shading(mine[0], _repeated(mine, self._rows), self.polarizations)
+            self._parts.append((shading, np.concatenate([one.coordinates() for one in mine])))
+        # curves are in the order of views
+        view = [k for group in groups.values() for k in group for _ in self.kinds[k].hit]
+        self._order = np.argsort(view, kind="stable")
         self._base = np.zeros(self.score.size)
         self._base = self._logarithms(self.fitted[None], False)[0][0]
 
@@ -420,7 +417,7 @@ class _Search:
     def __init__(self, curves: _Curves, box: np.ndarray, wider: np.ndarray, x: np.ndarray) -> None:
         self._curves, self._box, self._wider, self._x = curves, box, wider, np.clip(x, *box.T)
         q = len(box)
-        self._axes = [np.linspace(*ends, max(3, round(TRIED ** (1.0 / q)))) for ends in box]
+        self._axes = [np.linspace(*ends, int(np.clip(round(TRIED ** (1.0 / q)), 3, MOST_VALUES))) for ends in box]
         self._grid = np.stack(np.meshgrid(*self._axes, indexing="ij"), axis=-1)
         self._losses = curves.losses(self._grid.reshape(-1, q)).reshape(self._grid.shape[:-1])
         self._least = 0.0
