@@ -243,13 +243,15 @@ class _Curves:
 
     def losses(self, at: np.ndarray) -> np.ndarray:
         """-ln L of surfaces `at`, (n, q), beside that of the fit, (n,)."""
-        d, _ = self.bent.of(self._logarithms(at, False)[0])
-        return self._of(d @ self.information, d) + sum(0.5 * off**2 for _, off, _ in self._priors(at))
+        raw, _ = self._logarithms(at, False)
+        d, _ = self.bent.of(raw)
+        loss = self._of(d @ self.information, d) + sum(0.5 * off**2 for _, off, _ in self._priors(at))
+        return np.asarray(np.where(self._dark(raw), np.inf, loss))
 
     def expanded(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """`losses` with their gradients, (n, q), and curvatures, (n, q, q)."""
-        d, slopes = self._logarithms(at, True)
-        d, bend = self.bent.of(d)
+        raw, slopes = self._logarithms(at, True)
+        d, bend = self.bent.of(raw)
         slopes *= bend[..., None]
         pulled, across = d @ self.information, slopes.transpose(0, 2, 1)
         loss = self._of(pulled, d)
@@ -259,7 +261,11 @@ class _Curves:
             loss += 0.5 * off**2
             gradient[:, k] += off * slope
             curvature[:, k, k] += slope**2
-        return loss, gradient, curvature
+        return np.where(self._dark(raw), np.inf, loss), gradient, curvature
+
+    def _dark(self, raw: np.ndarray) -> np.ndarray:
+        """Surfaces that send less back than float32 holds, where a level is free and it would pass for a level."""
+        return (raw + self._base <= np.log(TINY)).any(axis=1) & (not self.bent.bends)
 
     def _of(self, pulled: np.ndarray, d: np.ndarray) -> np.ndarray:
         return np.asarray(np.sum((0.5 * pulled - self.score) * d, axis=1))
@@ -282,13 +288,14 @@ class _Bent:
     """
 
     values: np.ndarray
+    bends: bool = True
 
     @classmethod
     def over(cls, weights: np.ndarray | None, count: int) -> _Bent:
         """`weights`: of each curve's pixels in each class of `SHARES`, shape (curve, classes); None: nothing is bent."""
         d = BEND * np.sinh(BENDS)
         if weights is None:
-            return cls(np.tile(d, (count, 1)))
+            return cls(np.tile(d, (count, 1)), bends=False)
         share = np.sqrt(SHARES[1:] * SHARES[:-1])
         share[-1] = 1.0  # most pixels have one material
         power = (1.0 - share[:, None]) + share[:, None] * np.exp(d)
@@ -425,7 +432,7 @@ class _Search:
         free, losses = self._descended(np.concatenate([self._x[None], lowest]), np.ones(q, bool))
         self._least = float(losses.min())
         fit = losses <= self._least + self._limit(wider.max())
-        self._free = _apart(np.concatenate([self._x[None], free[fit][np.argsort(losses[fit])]]))
+        self._free = _apart(free[fit][np.argsort(losses[fit])])
 
     @staticmethod
     def _limit(wider: float | np.ndarray) -> float | np.ndarray:
@@ -463,7 +470,7 @@ class _Search:
             there = np.where(held, here, np.clip(here + step, low, high))
             new = self._curves.expanded(there)
             better = new[0] < loss[busy]
-            gained = np.where(better, loss[busy] - new[0], 0.0)
+            gained = np.where(better, loss[busy], 0.0) - np.where(better, new[0], 0.0)
             moved = busy[better]
             at[moved], loss[moved] = there[better], new[0][better]
             gradient[moved], curvature[moved] = new[1][better], new[2][better]
@@ -482,13 +489,13 @@ class _Search:
         ends, sought = self._box.copy(), list[_End]()
         for k, (values, (places, losses)) in enumerate(zip(held, found, strict=True)):
             roots = self._roots(k, losses)
-            fits = np.flatnonzero((roots <= Z_95) | (values == self._x[k]))
+            fits = np.flatnonzero(roots <= Z_95)
             for side, (inner, outer) in enumerate(((fits[0], fits[0] - 1), (fits[-1], fits[-1] + 1))):
                 if 0 <= outer < values.size:
                     sought.append(_End(k, side, *(_Held(places[i], float(roots[i])) for i in (inner, outer))))
         for one in self._refined(sought):
             ends[one.element, one.side] = one.inside.place[one.element]
-        return ends
+        return np.stack([np.minimum(ends[:, 0], self._x), np.maximum(ends[:, 1], self._x)], axis=1)
 
     def _roots(self, k: int | np.ndarray, losses: np.ndarray) -> np.ndarray:
         return np.sqrt(np.maximum(2.0 * (losses - self._least) / self._wider[k], 0.0))
@@ -500,8 +507,8 @@ class _Search:
         starts, of = [], []
         for i, slab in enumerate(nearest):
             low = self._lowest(np.take(self._losses, slab, axis=k), np.take(self._grid, slab, axis=k), STARTS)
-            starts += [low, self._free]
-            of += [i] * (len(low) + len(self._free))
+            starts += [low, self._free, self._x[None]]
+            of += [i] * (len(low) + len(self._free) + 1)
         best, losses = self._held(k, values, np.concatenate(starts), np.array(of))
         for _ in range(SWEEPS):
             fits = losses <= self._least + self._limit(self._wider[k])
