@@ -38,8 +38,9 @@ from warpsar.world.tables import Sampling
 
 RAYS_PER_PIXEL = 512.0
 STEPS = 60
-NOT_HERE = {"texture", "view_gain"}
-"""The likelihood is then another one; and the mean of all gains is the surface's."""
+NOT_HERE = {"texture", "view_gain", "azimuth_ambiguity"}
+"""The likelihood is then another one; the mean of all gains is the surface's; and copies in the dark end in pixels that
+other rays miss, for which the search has a rule of its own."""
 
 
 def measured(number: int, device: str, folder: Path) -> tuple[Scene, Scene, list[str], bool] | None:

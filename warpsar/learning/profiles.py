@@ -31,7 +31,9 @@ from warpsar.render.render import ViewRender
 from warpsar.surface.surface import places_of
 from warpsar.trace.hits import ARRAYS, Hits
 
-CELL_DEG, CELL_TWIST, CELL_AZIMUTH = 3.0, 0.2, 0.25  # hits of one kind: incidence, and the squares of two cosines
+CELLS = 0.5, 0.02, 0.05  # of hits of one kind: incidence [deg], cosine of the twist squared, `cos2_azimuth`
+MOST_KINDS = 64  # of a view: with more, cells are twice as wide, and so on
+ANGLES = "cos_incidence", "cos_twist", "cos2_azimuth"
 LEAST_SHARE = 1e-4  # of a material's power in a view: less is no kind, and stands as it was fitted
 AT_ONCE = 2048  # hits that are shaded together
 TRIED, MOST_VALUES = 4096, 48  # surfaces on the grid over the box, and values of an element there
@@ -88,12 +90,13 @@ def _wider(identified: Identified) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _Kinds:
-    """Kinds of hits of one view: a hit of each, its material's number, and what is needed to shade it anew."""
+    """Kinds of hits of one view: a hit of each, its material's number, and the kind's mean `ANGLES`, (3, kinds)."""
 
     view: FitView
     render: ViewRender
     hit: np.ndarray
     material: np.ndarray
+    angles: np.ndarray
 
     @property
     def of_surfaces(self) -> list[DeclaredEffect]:
@@ -102,7 +105,7 @@ class _Kinds:
 
     def of_material(self, m: int) -> _Kinds:
         mine = self.material == m
-        return replace(self, hit=self.hit[mine], material=self.material[mine])
+        return replace(self, hit=self.hit[mine], material=self.material[mine], angles=self.angles[:, mine])
 
     def coordinates(self) -> np.ndarray:
         """Learned coordinates of the hits before any effect, shape (n, p)."""
@@ -114,25 +117,21 @@ class _Kinds:
         """With the kind of each shading sample, and how many there are."""
         hits, surface = render.shaded, render.stage.surface
         material = render.stage.face_material.numpy()[hits.face.numpy()]
-        cosine, twist, azimuth = (
-            getattr(hits, name).numpy().astype(float) for name in ("cos_incidence", "cos_twist", "cos2_azimuth")
-        )
+        cosine, twist, azimuth = (getattr(hits, name).numpy().astype(float) for name in ANGLES)
         power = hits.weight.numpy() * sum(sigma.numpy() for sigma in render.sigma.values()).astype(float)
         share = power / np.maximum(np.bincount(material, power), 1e-300)[material]
-        lies = (surface.spectrum == Spectrum.SEPARABLE) | (surface.aspect != 1.0)
-        at = np.stack(
-            [
-                np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))) / CELL_DEG,
-                twist**2 / CELL_TWIST,
-                np.where(lies[material], azimuth / CELL_AZIMUTH, 0.0),
-            ],
-            axis=1,
-        )
+        lies = ((surface.spectrum == Spectrum.SEPARABLE) | (surface.aspect != 1.0))[material]
+        at = np.stack([np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))), twist**2, azimuth], axis=1)
         mine = np.flatnonzero(np.isin(material, materials))
-        keys = np.concatenate([material[mine, None], np.floor(at[mine]).astype(int)], axis=1)
-        _, kind = np.unique(keys, axis=0, return_inverse=True)
-        kind = kind.ravel()
-        keeps = np.bincount(kind, share[mine]) > LEAST_SHARE
+        cells = at[mine] / CELLS * np.stack([np.ones(mine.size), np.ones(mine.size), lies[mine]], axis=1)
+        while True:
+            keys = np.concatenate([material[mine, None], np.floor(cells).astype(int)], axis=1)
+            _, kind = np.unique(keys, axis=0, return_inverse=True)
+            kind = kind.ravel()
+            keeps = np.bincount(kind, share[mine]) > LEAST_SHARE
+            if keeps.sum() <= MOST_KINDS:
+                break
+            cells /= 2.0
         number = np.where(keeps, np.cumsum(keeps) - 1, -1)
         of_samples = np.full(material.size, -1)
         of_samples[mine] = number[kind]
@@ -141,10 +140,12 @@ class _Kinds:
         kind = of_samples[mine]
         total = np.bincount(kind, power[mine], count)
         middle = np.stack([np.bincount(kind, power[mine] * one, count) for one in at[mine].T], axis=1) / total[:, None]
-        off = ((at[mine] - middle[kind]) ** 2).sum(axis=1)
+        off = (((at[mine] - middle[kind]) / CELLS) ** 2).sum(axis=1)
         order = np.lexsort((off, kind))
         hit = mine[order[np.searchsorted(kind[order], np.arange(count))]]
-        return cls(view, render, hit, material[hit]), of_samples, count
+        degrees, square, azimuth = middle.T
+        angles = np.stack([np.cos(np.radians(degrees)), np.sqrt(square), azimuth])
+        return cls(view, render, hit, material[hit], angles), of_samples, count
 
 
 class _Shading(ViewRender):
@@ -321,7 +322,10 @@ def _repeated(group: Sequence[_Kinds], times: int) -> Hits:
     like = group[0].render.shaded
     arrays = {}
     for name, dtype in ARRAYS.items():
-        values = np.concatenate([getattr(one.render.shaded, name).numpy()[one.hit] for one in group])
+        if name in ANGLES:
+            values = np.concatenate([one.angles[ANGLES.index(name)] for one in group]).astype(np.float32)
+        else:
+            values = np.concatenate([getattr(one.render.shaded, name).numpy()[one.hit] for one in group])
         arrays[name] = wp.array(np.concatenate([values] * times), dtype=dtype, device=like.pixel.device)
     arrays["pixel"].zero_()  # nothing is put into an image
     return replace(like, **arrays, derived={})
