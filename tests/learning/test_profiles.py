@@ -133,10 +133,11 @@ def test_curves_know_what_the_fit_knows(tmp_path: Path) -> None:
     whole = identify(problem, x).information
     for curves in profiles._curves(problem, x):
         mine = curves.elements
-        others = np.setdiff1d(np.arange(x.size), mine)
-        across = whole[np.ix_(mine, others)]
-        beside = whole[np.ix_(mine, mine)] - across @ np.linalg.inv(whole[np.ix_(others, others)]) @ across.T
-        curvature = curves.expanded(x[None, mine])[2][0]
+        both = np.concatenate([mine, curves.others])
+        rest = np.setdiff1d(np.arange(x.size), both)
+        across = whole[np.ix_(both, rest)]
+        beside = whole[np.ix_(both, both)] - across @ np.linalg.inv(whole[np.ix_(rest, rest)]) @ across.T
+        curvature = curves.expanded(np.concatenate([x[mine], np.zeros(curves.others.size)])[None])[2][0]
         scale = np.sqrt(np.diag(beside))
         assert_allclose(curvature / np.outer(scale, scale), beside / np.outer(scale, scale), atol=0.02)
 

@@ -67,9 +67,10 @@ def with_profiles(problem: FitProblem, x: np.ndarray, identified: Identified) ->
         low, high = problem.bounds
         for curves in _curves(problem, x):
             mine = curves.elements
-            box = np.stack([low[mine], high[mine]], axis=1)
-            found = _Search(curves, box, wider[mine], x[mine]).ends()
-            found[(found == box).all(axis=1)] = -np.inf, np.inf
+            box, fitted = np.stack([low, high], axis=1), x[:, None]
+            room = box[curves.others] - fitted[curves.others]
+            found = _Search(curves, box[mine], wider[mine], x[mine], room).ends()
+            found[(found == box[mine]).all(axis=1)] = -np.inf, np.inf
             ends[mine], by_profile[mine] = found, True
     return replace(identified, ends=ends, by_profile=by_profile)
 
@@ -189,6 +190,7 @@ class _Curves:
     """
 
     elements: np.ndarray
+    others: np.ndarray
     place: np.ndarray
     fitted: np.ndarray
     information: np.ndarray
@@ -214,13 +216,14 @@ class _Curves:
         # curves are in the order of views
         view = [k for group in groups.values() for k in group for _ in self.kinds[k].hit]
         self._order = np.argsort(view, kind="stable")
-        self._base = np.zeros(self.score.size)
+        self._count = self.score.size - self.others.size
+        self._base = np.zeros(self._count)
         self._base = self._logarithms(self.fitted[None], False)[0][0]
 
     def _logarithms(self, at: np.ndarray, slopes: bool) -> tuple[np.ndarray, np.ndarray]:
         """ln sigma0 over that of the fit, (n, curve), and its slopes, (n, curve, q), of surfaces `at`, (n, q)."""
         q = len(self.place) if slopes else 0
-        whole = np.zeros((len(at), self.score.size, 1 + q))
+        whole = np.zeros((len(at), self._count, 1 + q))
         for first in range(0, len(at) if self._parts else 0, self._rows):
             some = at[first : first + self._rows]
             found = zip(*(shading.at(self._filled(some, own), slopes) for shading, own in self._parts), strict=True)
@@ -238,14 +241,15 @@ class _Curves:
     def _filled(self, some: np.ndarray, own: np.ndarray) -> np.ndarray:
         """Coordinates of all hits of a part for the surfaces `some`; beyond these the last one stands again."""
         found = np.repeat(own[None], self._rows, axis=0)
-        found[: len(some), :, self.place] = some[:, None, :]
-        found[len(some) :, :, self.place] = some[-1]
-        return found.reshape(-1, own.shape[1])
+        own = some[:, : self.place.size]
+        found[: len(some), :, self.place] = own[:, None, :]
+        found[len(some) :, :, self.place] = own[-1]
+        return found.reshape(-1, found.shape[2])
 
     def losses(self, at: np.ndarray) -> np.ndarray:
         """-ln L of surfaces `at`, (n, q), beside that of the fit, (n,)."""
         raw, _ = self._logarithms(at, False)
-        d, _ = self.bent.of(raw)
+        d = np.concatenate([self.bent.of(raw)[0], at[:, self.place.size :]], axis=1)
         loss = self._of(d @ self.information, d) + sum(0.5 * off**2 for _, off, _ in self._priors(at))
         return np.asarray(np.where(self._dark(raw), np.inf, loss))
 
@@ -253,7 +257,11 @@ class _Curves:
         """`losses` with their gradients, (n, q), and curvatures, (n, q, q)."""
         raw, slopes = self._logarithms(at, True)
         d, bend = self.bent.of(raw)
-        slopes *= bend[..., None]
+        n, q, r = len(at), self.place.size, self.others.size
+        whole = np.zeros((n, self.score.size, q + r))
+        whole[:, : self._count, :q] = slopes * bend[..., None]
+        whole[:, self._count :, q:] = np.eye(r)
+        d, slopes = np.concatenate([d, at[:, q:]], axis=1), whole
         pulled, across = d @ self.information, slopes.transpose(0, 2, 1)
         loss = self._of(pulled, d)
         gradient = (across @ (pulled - self.score)[..., None])[..., 0]
@@ -371,13 +379,16 @@ def _curves(problem: FitProblem, x: np.ndarray) -> Iterator[_Curves]:
     for m, elements in own.items():
         mine, places = (np.array(each) for each in zip(*elements, strict=True))
         curve = np.flatnonzero(material == m)
-        others = np.setdiff1d(np.arange(first, size), first + mine)
+        surfaces = np.array([k for one in own.values() for k, _ in one])
+        others = np.setdiff1d(surfaces, mine)
+        rest = np.setdiff1d(np.arange(first, size), first + surfaces)
         known = [replace(k, at=int(np.flatnonzero(mine == k.at)[0])) for k in problem.prior.known if k.at in mine]
         yield _Curves(
             mine,
+            others,
             places,
             x[mine],
-            *_beside(information, score, curve, others),
+            *_beside(information, score, np.concatenate([curve, first + others]), rest),
             [kinds.of_material(m) for kinds, _ in found],
             polarizations,
             known,
@@ -425,18 +436,23 @@ class _Search:
     `wider`, (q,): what 2 ln L is divided by.
     """
 
-    def __init__(self, curves: _Curves, box: np.ndarray, wider: np.ndarray, x: np.ndarray) -> None:
-        self._curves, self._box, self._wider, self._x = curves, box, wider, np.clip(x, *box.T)
-        q = len(box)
+    def __init__(
+        self, curves: _Curves, box: np.ndarray, wider: np.ndarray, x: np.ndarray, room: np.ndarray | None = None
+    ) -> None:
+        room = np.zeros((0, 2)) if room is None else room
+        self._curves, self._wider, q = curves, wider, len(box)
+        self._own, self._box = q, np.concatenate([box, room])
+        self._x = np.concatenate([np.clip(x, *box.T), np.zeros(len(room))])
         self._axes = [np.linspace(*ends, int(np.clip(round(TRIED ** (1.0 / q)), 3, MOST_VALUES))) for ends in box]
-        self._grid = np.stack(np.meshgrid(*self._axes, indexing="ij"), axis=-1)
-        self._losses = curves.losses(self._grid.reshape(-1, q)).reshape(self._grid.shape[:-1])
+        grid = np.stack(np.meshgrid(*self._axes, indexing="ij"), axis=-1)
+        self._grid = np.concatenate([grid, np.zeros((*grid.shape[:-1], len(room)))], axis=-1)
+        self._losses = curves.losses(self._grid.reshape(-1, q + len(room))).reshape(grid.shape[:-1])
         self._least = 0.0
         lowest = self._lowest(self._losses, self._grid, 4 * STARTS)
-        free, losses = self._descended(np.concatenate([self._x[None], lowest]), np.ones(q, bool))
+        free, losses = self._descended(np.concatenate([self._x[None], lowest]), np.ones(len(self._box), bool))
         self._least = float(losses.min())
         fit = losses <= self._least + self._limit(wider.max())
-        self._free = _apart(free[fit][np.argsort(losses[fit])])
+        self._free = _apart(free[fit][np.argsort(losses[fit])], q)
 
     @staticmethod
     def _limit(wider: float | np.ndarray) -> float | np.ndarray:
@@ -488,9 +504,9 @@ class _Search:
 
     def ends(self) -> np.ndarray:
         """Both ends of each interval, shape (q, 2); those at the box's ends are its own."""
-        held, found = zip(*(self._profile(k) for k in range(len(self._box))), strict=True)
+        held, found = zip(*(self._profile(k) for k in range(self._own)), strict=True)
         self._least = min(self._least, *(float(losses.min()) for _, losses in found))
-        ends, sought = self._box.copy(), list[_End]()
+        x, ends, sought = self._x[: self._own], self._box[: self._own].copy(), list[_End]()
         for k, (values, (places, losses)) in enumerate(zip(held, found, strict=True)):
             roots = self._roots(k, losses)
             fits = np.flatnonzero(roots <= Z_95)
@@ -499,7 +515,7 @@ class _Search:
                     sought.append(_End(k, side, *(_Held(places[i], float(roots[i])) for i in (inner, outer))))
         for one in self._refined(sought):
             ends[one.element, one.side] = one.inside.place[one.element]
-        return np.stack([np.minimum(ends[:, 0], self._x), np.maximum(ends[:, 1], self._x)], axis=1)
+        return np.stack([np.minimum(ends[:, 0], x), np.maximum(ends[:, 1], x)], axis=1)
 
     def _roots(self, k: int | np.ndarray, losses: np.ndarray) -> np.ndarray:
         return np.sqrt(np.maximum(2.0 * (losses - self._least) / self._wider[k], 0.0))
@@ -562,11 +578,11 @@ class _Search:
         return sought
 
 
-def _apart(places: np.ndarray) -> np.ndarray:
-    """Those of `places`, (n, q), that lie apart from all before them."""
-    kept = [0]
+def _apart(places: np.ndarray, q: int) -> np.ndarray:
+    """Those of `places`, (n, p), that lie apart in their first q elements from all before them."""
+    kept, own = [0], places[:, :q]
     for i in range(1, len(places)):
-        if np.abs(places[i] - places[kept]).max(axis=1).min() > APART:
+        if np.abs(own[i] - own[kept]).max(axis=1).min() > APART:
             kept.append(i)
     return np.asarray(places[kept])
 
