@@ -93,7 +93,9 @@ def one_run(number: int, device: str) -> dict[str, Any]:
             value = float(known[full].transform.to_coordinate(truth[full].value))
             ends = told.interval_95(k, float(x[k])) - value
             sides = [None if not np.isfinite(end) else float(end) for end in ends]
-            at_bound = [bool(np.isclose(end, bound[k] - value)) for end, bound in zip(ends, problem.bounds, strict=True)]
+            at_bound = [
+                bool(np.isclose(end, bound[k] - value)) for end, bound in zip(ends, problem.bounds, strict=True)
+            ]
             rows.append([full, *sides, *at_bound, float(x[k]) - value, float(found.sd[k])])
         return {
             "number": number,
@@ -164,7 +166,9 @@ def table(out: Path, write: bool) -> None:
     oldest = min(({key: row[key] for key in ("date", "commit")} for row in rows), key=lambda one: one["date"])
     tables.publish({"interval_rates": tables.markdown(head, lines)}, {"made": oldest}, write)
     seconds = [row["cpu_seconds"] for row in rows]
-    click.echo(f"{len(rows)} scenes; CPU seconds of the intervals: median {np.median(seconds):.2f}, most {max(seconds):.1f}")
+    click.echo(
+        f"{len(rows)} scenes; CPU seconds of the intervals: median {np.median(seconds):.2f}, most {max(seconds):.1f}"
+    )
 
 
 if __name__ == "__main__":

@@ -53,7 +53,9 @@ def two_valleys(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return rows((x[:, 0] ** 2 - 9.0) / (6.0 * S), x[:, 1]), slopes
 
 
-def ends_of(likelihood: Likelihood, x: tuple[float, float] = (0.0, 0.0), bound: float = 20.0, wider: float = 1.0) -> Any:
+def ends_of(
+    likelihood: Likelihood, x: tuple[float, float] = (0.0, 0.0), bound: float = 20.0, wider: float = 1.0
+) -> Any:
     curves: Any = likelihood
     box = np.array([[-bound, bound]] * 2)
     return profiles._Search(curves, box, np.full(2, wider), np.array(x)).ends()
@@ -143,10 +145,13 @@ def test_curves_know_what_the_fit_knows(tmp_path: Path) -> None:
 
 
 def test_numbers_of_effects_have_standard_deviations(tmp_path: Path) -> None:
-    problem = FitProblem(scene_with(tmp_path, {"cube": KEYS[1:2]}, noise_floor={"level": 1e-3}), devices.resolve_device("cpu"))
+    problem = FitProblem(
+        scene_with(tmp_path, {"cube": KEYS[1:2]}, noise_floor={"level": 1e-3}), devices.resolve_device("cpu")
+    )
     x = problem.x0
     found = profiles.with_profiles(problem, x, identify(problem, x))
-    assert found.ends is not None and found.by_profile is not None
+    assert found.ends is not None
+    assert found.by_profile is not None
     assert found.by_profile.tolist() == [True, False]
     assert_allclose(found.ends[1], x[1] + np.array([-1.96, 1.96]) * found.sd[1])
     assert np.ptp(found.ends[0]) == pytest.approx(2 * 1.96 * found.sd[0], rel=0.05)  # one number has one valley
@@ -155,7 +160,10 @@ def test_numbers_of_effects_have_standard_deviations(tmp_path: Path) -> None:
 def test_what_the_images_do_not_see_is_not_told(tmp_path: Path) -> None:
     """Of one polarization in one incidence, a permittivity may be anything: both ends are open."""
     scene = replace(cube_scene(views_at((0.0, 40.0)), polarizations=("HH",)), effects={})
-    free = {name: one.model_copy(update={"learn": KEYS if name == "ground" else ()}) for name, one in scene.materials.items()}
+    free = {
+        name: one.model_copy(update={"learn": KEYS if name == "ground" else ()})
+        for name, one in scene.materials.items()
+    }
     problem = FitProblem(measured(replace(scene, materials=free), tmp_path), devices.resolve_device("cpu"))
     x = problem.x0
     ends = profiles.with_profiles(problem, x, identify(problem, x)).ends

@@ -19,7 +19,8 @@ SAME_SD = 2.0  # a parameter that moved by more of its standard deviations than 
 class ParameterMove:
     """A surface parameter before and after the effects were added: values (SI), and standard deviations of their
     learned coordinates (ln, or logit for specular_fraction); `after_95`: the interval of the last value (SI), None
-    where it is open; `after_from`: where it comes from (`Identified.interval_from`); `sds`: the move over the root of both variances' sum."""
+    where it is open; `after_from`: where it comes from (`Identified.interval_from`); `sds`: the move over the root of
+    both variances' sum."""
 
     material: str
     key: str

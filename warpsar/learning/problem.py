@@ -491,8 +491,7 @@ class FitProblem(SceneCoordinates):
         def one(view: FitView, maker: ViewJacobian) -> tuple[T, list[np.ndarray]]:
             self._set(view, shared, tables)
             view.run_images()
-            found, kind, count = kinds_of(view, view.render.whole)
-            return found, maker.by_kind(kind, count)
+            return maker.by_kind(kinds_of)
 
         tasks = [partial(one, view, maker) for view, maker in zip(self.views, self._makers, strict=True)]
         return list(threads.ordered(tasks, self.device))

@@ -1,20 +1,23 @@
 """95 % intervals of surface parameters: the profile of the likelihood over all surfaces that a fit may take.
 
 Permittivity, height and correlation length of a surface trade along valleys that are bent, and there may be several of
-them. A standard deviation knows one valley, and takes it to be straight. So the whole box of a fit's bounds is searched.
+them. A standard deviation knows one valley, and takes it to be straight. So all that lies within a fit's bounds is
+searched.
 
 Images know a material by its curve alone: what its sigma0 is at each incidence that they see. So hits of like angles
 are one kind, and the likelihood is expanded once, to second order, in the logarithms of what all kinds bring. A surface
-anywhere in the box then costs its sigma0 at a few dozen angles, and no image. Everything else that is fitted (other
-materials, effects) is free beside it, to first order, and so is the power that comes over several surfaces. The
-interval has all values beside which some surface of the box stays within what speckle alone explains in 95 % of images:
-3.84 of 2 ln L, times what correlated speckle adds to a variance.
+anywhere within the bounds then costs its sigma0 at a few dozen angles, and no image. Everything else that is fitted
+is free beside it, to first order: effects, the level of what comes over several surfaces, and other materials, which
+stay within their bounds. The interval has all values beside which some surface stays within what speckle alone explains
+in 95 % of images: 3.84 of 2 ln L, times what correlated speckle adds to a variance.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -40,6 +43,7 @@ TRIED, MOST_VALUES = 4096, 48  # surfaces on the grid over the box, and values o
 STARTS = 3  # of each value that is held, and four times as many of free surfaces
 APART = 0.5  # in a coordinate: likeliest surfaces that are nearer to each other are one
 HOPELESS = 0.05  # of what a surface must still gain to fit: a step of a descent that gains less is its last
+TURNS = 3  # of all profiles, where one comes upon a likelier surface
 SWEEPS = 6  # over values that are refused beside one that fits: its valley may go on to them
 STEPS, LONGEST = 30, 2.0  # of a descent, and its longest step in a coordinate
 FLAT = 1e-4  # of 2 ln L: a descent that gains less has ended
@@ -67,8 +71,8 @@ def with_profiles(problem: FitProblem, x: np.ndarray, identified: Identified) ->
         low, high = problem.bounds
         for curves in _curves(problem, x):
             mine = curves.elements
-            box, fitted = np.stack([low, high], axis=1), x[:, None]
-            room = box[curves.others] - fitted[curves.others]
+            box = np.stack([low, high], axis=1)
+            room = box[curves.others] - x[curves.others, None]
             found = _Search(curves, box[mine], wider[mine], x[mine], room).ends()
             found[(found == box[mine]).all(axis=1)] = -np.inf, np.inf
             ends[mine], by_profile[mine] = found, True
@@ -164,8 +168,8 @@ class _Shading(ViewRender):
         return self.given[-1]
 
     def at(self, coordinates: np.ndarray, slopes: bool) -> Iterator[np.ndarray]:
-        """Of each polarization, at coordinates of shape (n, p): sigma0 and, where asked for, its `slopes` to them, shape
-        (n, 1 + p) or (n, 1), float64."""
+        """Of each polarization, at coordinates of shape (n, p): sigma0 and, where asked for, its `slopes` to them,
+        shape (n, 1 + p) or (n, 1), float64."""
         pages = np.split(coordinates.astype(np.float32), len(self.given), axis=1)
         for array, values in zip(self.given, pages, strict=True):
             array.assign(np.ascontiguousarray(values))
@@ -184,9 +188,10 @@ class _Curves:
     """The likelihood of one material's curves, of which the elements `elements` of x decide, q of them.
 
     -ln L is d' `information` d / 2 - `score` d beside the curves as fitted, at `fitted`, (q,). d is the change of their
-    logarithms, `bent`, shape (curve,): polarization by polarization, and kind by kind. `place`, (q,): of each element
-    among the coordinates of a hit. `kinds`: those of each view that are the material's. `known` counts among its own
-    elements.
+    logarithms, `bent`, shape (curve,): polarization by polarization, and kind by kind. Behind these it has how far the
+    elements `others` of x, of other materials, lie from the fit. A surface has its own q elements, and then these: p.
+    `place`, (q,): of each element among the coordinates of a hit. `kinds`: those of each view that are the material's.
+    `known` counts among its own elements.
     """
 
     elements: np.ndarray
@@ -221,7 +226,7 @@ class _Curves:
         self._base = self._logarithms(self.fitted[None], False)[0][0]
 
     def _logarithms(self, at: np.ndarray, slopes: bool) -> tuple[np.ndarray, np.ndarray]:
-        """ln sigma0 over that of the fit, (n, curve), and its slopes, (n, curve, q), of surfaces `at`, (n, q)."""
+        """ln sigma0 over that of the fit, (n, curve), and its slopes, (n, curve, q), of surfaces `at`, (n, p)."""
         q = len(self.place) if slopes else 0
         whole = np.zeros((len(at), self._count, 1 + q))
         for first in range(0, len(at) if self._parts else 0, self._rows):
@@ -247,14 +252,14 @@ class _Curves:
         return found.reshape(-1, found.shape[2])
 
     def losses(self, at: np.ndarray) -> np.ndarray:
-        """-ln L of surfaces `at`, (n, q), beside that of the fit, (n,)."""
+        """-ln L of surfaces `at`, (n, p), beside that of the fit, (n,)."""
         raw, _ = self._logarithms(at, False)
         d = np.concatenate([self.bent.of(raw)[0], at[:, self.place.size :]], axis=1)
         loss = self._of(d @ self.information, d) + sum(0.5 * off**2 for _, off, _ in self._priors(at))
         return np.asarray(np.where(self._dark(raw), np.inf, loss))
 
     def expanded(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """`losses` with their gradients, (n, q), and curvatures, (n, q, q)."""
+        """`losses` with their gradients, (n, p), and curvatures, (n, p, p)."""
         raw, slopes = self._logarithms(at, True)
         d, bend = self.bent.of(raw)
         n, q, r = len(at), self.place.size, self.others.size
@@ -282,7 +287,8 @@ class _Curves:
     def _priors(self, at: np.ndarray) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
         """Of each known element: its place, deviations in standard deviations, (n,), and their slopes."""
         for one in self.known:
-            value, slope = (np.asarray(of(at[:, one.at]), float) for of in (one.value, one.slope))
+            own = at[:, one.at].tolist()
+            value, slope = (np.array([of(x) for x in own], float) for of in (one.value, one.slope))
             yield one.at, (value - one.about) / one.sd, slope / one.sd
 
 
@@ -301,7 +307,7 @@ class _Bent:
 
     @classmethod
     def over(cls, weights: np.ndarray | None, count: int) -> _Bent:
-        """`weights`: of each curve's pixels in each class of `SHARES`, shape (curve, classes); None: nothing is bent."""
+        """`weights`: of each curve's pixels in each class of `SHARES`, (curve, classes); None: nothing is bent."""
         d = BEND * np.sinh(BENDS)
         if weights is None:
             return cls(np.tile(d, (count, 1)), bends=False)
@@ -311,7 +317,7 @@ class _Bent:
         cost = np.log(power) + 1.0 / power - 1.0
         told = np.maximum(weights @ share**2, 1e-300)
         bent = np.sign(d) * np.sqrt(np.maximum(2.0 * (weights @ cost) / told[:, None], 0.0))
-        return cls(np.where((weights > 0.0).any(axis=1)[:, None], bent, d))
+        return cls(np.where(weights.sum(axis=1, keepdims=True) > 0.0, bent, d))
 
     def of(self, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The bent logarithms of d, shape (n, curve), and their slopes."""
@@ -328,7 +334,7 @@ class _Bent:
 def _repeated(group: Sequence[_Kinds], times: int) -> Hits:
     """The hits of all kinds of some views, one after the other, and all of them so many `times`."""
     like = group[0].render.shaded
-    arrays = {}
+    arrays = dict[str, Any]()
     for name, dtype in ARRAYS.items():
         if name in ANGLES:
             values = np.concatenate([one.angles[ANGLES.index(name)] for one in group]).astype(np.float32)
@@ -344,8 +350,8 @@ def _curves(problem: FitProblem, x: np.ndarray) -> Iterator[_Curves]:
     surface, own = problem.surface, dict[int, list[tuple[int, int]]]()
     for at, block in enumerate(block for block in surface.blocks if block.learn):
         m = surface.materials.index(block.material)
-        place = [kind.key for kind in places_of(surface.model[m])].index(block.kind.key)
-        own.setdefault(m, []).append((at, place))
+        keys = [kind.key for kind in places_of(surface.model[m])]
+        own.setdefault(m, []).append((at, keys.index(block.kind.key)))
     found = problem.by_kind(x, lambda view, render: _Kinds.of(view, render, list(own)))
     if found is None:
         return
@@ -360,16 +366,17 @@ def _curves(problem: FitProblem, x: np.ndarray) -> Iterator[_Curves]:
     pixels = np.zeros((first, SHARES.size - 1))
     start, number = 0, 0
     for kinds, shares in found:
-        for share, (seen, jacobian, curved) in zip(shares, observed):
+        for share, (seen, jacobian, curved) in zip(shares, islice(observed, len(shares)), strict=True):
             if not problem.scene.grid.calibrated:
                 share = share - np.average(share, axis=0, weights=curved.weight)
             columns = np.concatenate([share, jacobian], axis=1)
             begin = polarizations.index(seen.polarization) * count + start
-            pixels[begin : begin + kinds.hit.size] = _classes(share[:, :-1], kinds.material, curved.weight)
-            at = [*range(begin, begin + kinds.hit.size), first + x.size + number, *range(first, first + x.size)]
+            of_kinds = np.arange(begin, begin + kinds.hit.size)
+            pixels[of_kinds] = _classes(share[:, :-1], kinds.material, curved.weight)
+            places = np.concatenate([of_kinds, [first + x.size + number], np.arange(first, first + x.size)])
             weighted = curved.weight[:, None] * columns
-            information[np.ix_(at, at)] += columns.T @ weighted
-            score[at] += weighted.T @ curved.residual
+            information[np.ix_(places, places)] += columns.T @ weighted
+            score[places] += weighted.T @ curved.residual
             number += 1
         start += kinds.hit.size
     of_x = slice(first, first + x.size)
@@ -377,7 +384,7 @@ def _curves(problem: FitProblem, x: np.ndarray) -> Iterator[_Curves]:
     score[of_x] -= problem.prior.gradient(x)
     material = np.tile(np.concatenate([kinds.material for kinds, _ in found]), len(polarizations))
     for m, elements in own.items():
-        mine, places = (np.array(each) for each in zip(*elements, strict=True))
+        mine, place = (np.array(each) for each in zip(*elements, strict=True))
         curve = np.flatnonzero(material == m)
         surfaces = np.array([k for one in own.values() for k, _ in one])
         others = np.setdiff1d(surfaces, mine)
@@ -386,7 +393,7 @@ def _curves(problem: FitProblem, x: np.ndarray) -> Iterator[_Curves]:
         yield _Curves(
             mine,
             others,
-            places,
+            place,
             x[mine],
             *_beside(information, score, np.concatenate([curve, first + others]), rest),
             [kinds.of_material(m) for kinds, _ in found],
@@ -443,7 +450,8 @@ class _Search:
         self._curves, self._wider, q = curves, wider, len(box)
         self._own, self._box = q, np.concatenate([box, room])
         self._x = np.concatenate([np.clip(x, *box.T), np.zeros(len(room))])
-        self._axes = [np.linspace(*ends, int(np.clip(round(TRIED ** (1.0 / q)), 3, MOST_VALUES))) for ends in box]
+        values = int(np.clip(round(TRIED ** (1.0 / q)), 3, MOST_VALUES))
+        self._axes = [np.linspace(low, high, values) for low, high in box]
         grid = np.stack(np.meshgrid(*self._axes, indexing="ij"), axis=-1)
         self._grid = np.concatenate([grid, np.zeros((*grid.shape[:-1], len(room)))], axis=-1)
         self._losses = curves.losses(self._grid.reshape(-1, q + len(room))).reshape(grid.shape[:-1])
@@ -504,12 +512,18 @@ class _Search:
 
     def ends(self) -> np.ndarray:
         """Both ends of each interval, shape (q, 2); those at the box's ends are its own."""
-        held, found = zip(*(self._profile(k) for k in range(self._own)), strict=True)
-        self._least = min(self._least, *(float(losses.min()) for _, losses in found))
+        for _ in range(TURNS):
+            held, found = zip(*(self._profile(k) for k in range(self._own)), strict=True)
+            places, losses = (np.concatenate(each) for each in zip(*found, strict=True))
+            if losses.min() > self._least - 0.5 * FLAT:
+                break
+            # the likeliest surface was not among those that were started from
+            self._least = float(losses.min())
+            self._free = _apart(np.concatenate([places[None, losses.argmin()], self._free]), self._own)
         x, ends, sought = self._x[: self._own], self._box[: self._own].copy(), list[_End]()
         for k, (values, (places, losses)) in enumerate(zip(held, found, strict=True)):
             roots = self._roots(k, losses)
-            fits = np.flatnonzero(roots <= Z_95)
+            fits = np.flatnonzero(roots <= max(Z_95, float(roots.min())))
             for side, (inner, outer) in enumerate(((fits[0], fits[0] - 1), (fits[-1], fits[-1] + 1))):
                 if 0 <= outer < values.size:
                     sought.append(_End(k, side, *(_Held(places[i], float(roots[i])) for i in (inner, outer))))
@@ -532,12 +546,7 @@ class _Search:
         best, losses = self._held(k, values, np.concatenate(starts), np.array(of))
         for _ in range(SWEEPS):
             fits = losses <= self._least + self._limit(self._wider[k])
-            pairs = [
-                (i, j)
-                for i in np.flatnonzero(~fits)
-                for j in (i - 1, i + 1)
-                if 0 <= j < values.size and fits[j]
-            ]
+            pairs = [(i, j) for i in np.flatnonzero(~fits) for j in (i - 1, i + 1) if 0 <= j < values.size and fits[j]]
             if not pairs:
                 break
             to, by = np.array(pairs).T
@@ -564,7 +573,9 @@ class _Search:
             if not open_ones:
                 break
             shares = np.array([one.share for one in open_ones])
-            inside, outside = (np.array([getattr(one, name).place for one in open_ones]) for name in ("inside", "outside"))
+            inside, outside = (
+                np.array([getattr(one, name).place for one in open_ones]) for name in ("inside", "outside")
+            )
             between = inside + shares[:, None] * (outside - inside)
             element = np.array([one.element for one in open_ones])
             n = np.arange(len(open_ones))
