@@ -111,7 +111,7 @@ BLUR = {"point_spread": {"range_fwhm_m": 0.6, "azimuth_fwhm_m": 0.6, "fixed": Tr
 def test_a_surface_costs_what_its_image_says(effects: dict[str, Any], tmp_path: Path) -> None:
     """-ln L of surfaces far from the fit, by their curves and by their images.
 
-    Where 2 ln L falls by up to 40 the two agree to a tenth: kinds of hits are 3 degrees wide, and pixels that two
+    Where -ln L rises by up to 100 the two agree to a tenth: sigma0 is expanded in the kinds, and pixels that two
     materials share are taken one material at a time.
     """
     problem = FitProblem(scene_with(tmp_path, {"cube": KEYS}, **effects), devices.resolve_device("cpu"))
