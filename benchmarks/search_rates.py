@@ -61,7 +61,7 @@ from warpsar.runtime import console, devices
 from warpsar.scene.scene import Scene
 from warpsar.simulation.command import simulate
 from warpsar.world.mesh import Mesh
-from warpsar.world.tables import Sampling
+from warpsar.world.tables import Material, Sampling
 
 MOST_MINUTES = 8.0  # of one search: what it has found by then stands
 
@@ -411,11 +411,7 @@ def one_run(number: int, device: str, minutes: float) -> dict[str, Any]:
             speckle = speckled(random, found.law[view.name], clean[view.name].shape, correlated)
             write_tiff(path, (clean[view.name] * speckle).astype(np.float32))
             views.append(view.model_copy(update={"images": {"HH": path}}))
-        materials = {}
-        for key, one in found.declared.materials.items():
-            values = [one.eps_r - 1.0, one.rms_height_m, one.correlation_length_m]
-            start = np.array(values) * np.exp(START_SD * random.standard_normal(3)) + [1.0, 0.0, 0.0]
-            materials[key] = one.model_copy(update=dict(zip(KEYS, map(float, start), strict=True)))
+        materials = started(found.declared, random)
         scene = replace(found.declared, views=views, materials=materials, sampling=Sampling(seed=number))
         begun = time.perf_counter()
         done = diagnose(scene, device=device, options=DiagnoseOptions(time_limit_s=60.0 * minutes))
@@ -446,6 +442,16 @@ def one_run(number: int, device: str, minutes: float) -> dict[str, Any]:
         "seconds": round(ended - begun, 1),
         "of_it_made": round(begun - started, 1),
     }
+
+
+def started(scene: Scene, random: np.random.Generator) -> dict[str, Material]:
+    """The scene's materials beside the truth."""
+    materials = {}
+    for key, one in scene.materials.items():
+        values = [one.eps_r - 1.0, one.rms_height_m, one.correlation_length_m]
+        start = np.array(values) * np.exp(START_SD * random.standard_normal(3)) + [1.0, 0.0, 0.0]
+        materials[key] = one.model_copy(update=dict(zip(KEYS, map(float, start), strict=True)))
+    return materials
 
 
 def intervals(done: Diagnosed, true: Scene) -> list[tuple[str, float | None, float | None]]:

@@ -34,7 +34,8 @@ class Identified:
     F^-1 S F^-1; S, `products`, comes from the residuals' own autocovariance, so correlated speckle counts. The variance
     of an element is infinite where it has a part in a direction that the data do not see. `eigenvalues` of the
     information ascend; `eigenvectors` are in columns. `words` are sentences for people. `ends`, shape (p, 2),
-    are 95 % intervals by the profile of the likelihood (`learning.profiles`), where these were asked for.
+    are 95 % intervals by the profile of the likelihood (`learning.profiles`), where these were asked for; `by_profile`,
+    (p,), says which of them are, and which are 1.96 standard deviations to either side.
     """
 
     labels: list[str]
@@ -45,6 +46,7 @@ class Identified:
     eigenvectors: np.ndarray
     words: list[str] = field(default_factory=list)
     ends: np.ndarray | None = None
+    by_profile: np.ndarray | None = None
 
     @property
     def sd(self) -> np.ndarray:
@@ -54,11 +56,22 @@ class Identified:
     def interval_95(self, at: int, value: float) -> np.ndarray:
         """Both ends, shape (2,), of element `at` of x about its `value`, in its coordinate; infinite where it is open.
 
-        By the profile of the likelihood where that is known (`ends`), else value +- 1.96 standard deviations.
+        By the profile of the likelihood where that is known (`ends`; both are infinite where every value fits, and one
+        is a bound of the fit where nothing on that side is refused), else value +- 1.96 standard deviations.
         """
         if self.ends is not None:
             return np.asarray(self.ends[at])
         return value + np.array([-Z_95, Z_95]) * self.sd[at]
+
+    def tells(self, at: int) -> bool:
+        """Whether the interval of an element is worth printing."""
+        if self.ends is not None:
+            return bool(np.isfinite(self.ends[at]).any())
+        return bool(self.sd[at] < 3.0)
+
+    def interval_from(self, at: int) -> str:
+        """Where `interval_95` comes from."""
+        return "profile" if self.by_profile is not None and self.by_profile[at] else "standard deviation"
 
     @property
     def undetermined(self) -> list[str]:

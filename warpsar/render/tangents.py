@@ -112,6 +112,20 @@ class Tangents:
                 found = found + falls @ coo_array((share[mine] * slopes[hit[mine], k], at), (len(slopes), shape[1]))
         return csc_array(found)
 
+    def powers(self, polarization: str, kind: np.ndarray, count: int) -> np.ndarray:
+        """beta0 before the image stage that samples of each of `count` kinds bring, shape (count + 1, pixels), float32.
+
+        `kind`: of each shading sample, shape (n,), -1 for none. The last row is what comes over several surfaces.
+        """
+        first, *others = self._render.deposited[polarization]
+        mine = np.flatnonzero(kind >= 0)
+        sigma = first.sigma.numpy().astype(float)
+        of_kinds = coo_array((sigma[mine], (mine, kind[mine])), (sigma.size, count + 1))
+        found = (self._falls(first) @ of_kinds).toarray()
+        for d in others:
+            found[:, count] += self._falls(d) @ d.sigma.numpy().astype(float)
+        return np.asarray(found.T, np.float32)
+
     def _falls(self, d: Deposited) -> csr_array:
         """Where the power of each sample falls, shape (pixels, samples)."""
         rows, cols = self._render.shape
