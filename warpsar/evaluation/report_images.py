@@ -62,7 +62,9 @@ def first_pictures(scene: Scene, found: Evaluation, before: Evaluation | None) -
         key=lambda k: (found.images[k].role == "test", np.nan_to_num(found.images[k].metrics["deviance"])),
     )
     image = found.images[number]
-    shown = {"residual": image} if before is None else {"residual before": before.images[number], "residual after": image}
+    shown = (
+        {"residual": image} if before is None else {"residual before": before.images[number], "residual after": image}
+    )
     residuals = {name: averaged_ratio_db(one) for name, one in shown.items()}
     reach = reach_db([one[np.isfinite(one)] for one in residuals.values()], 99.0)
     greys, key = beta0_rgb([image.measured])
