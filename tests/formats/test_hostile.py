@@ -1,6 +1,6 @@
 """Hostile files end in one message, or are read, and in nothing else; and no code here can load a pickle.
 
-`benchmarks/hostile.py` is the long run; here are all its crafted attacks, and a few mutations of each reader's file.
+`benchmarks/hostile.py` is the long run; here are all its crafted attacks, and some mutations of each reader's file.
 """
 
 import ast
@@ -30,7 +30,10 @@ from warpsar.kernels.lane_kernels import at_once
 from warpsar.kernels.scatter import scatter_kernel
 from warpsar.world.mesh import read_mesh
 
-MUTATIONS = 4  # of each reader's file, after its attacks
+MUTATIONS = 4  # of each reader's file
+MEMORY_IS_MEASURED = pytest.mark.skipif(
+    not Path("/proc/self/clear_refs").exists(), reason="memory is measured as Linux counts it"
+)
 
 
 def module(name: str) -> Any:
@@ -46,12 +49,15 @@ def module(name: str) -> Any:
 # ---- all readers ----
 
 
-@pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="memory is measured as Linux counts it")
-def test_every_attack_ends_in_one_message() -> None:
-    """In a worker under a limit on its memory: `benchmarks/hostile.py` says all that is looked at."""
+def outcomes(mutated: bool) -> Counter[str]:
+    """Of all crafted attacks, or of mutations, in a worker under a limit on its memory: `benchmarks/hostile.py` says
+    all that is looked at."""
     hostile, cases = module("hostile"), module("hostile_cases")
-    readers = cases.readers().values()
-    todo = [(r.name, i) for r in readers for i in range(len(r.attacks) + len(cases.PLACES) + MUTATIONS)]
+    hostile.TIME_S = 120.0  # a hang never ends, and a machine with other work is slow
+    todo: list[tuple[str, int]] = []
+    for reader in cases.readers().values():
+        attacks = len(reader.attacks) + len(cases.PLACES)
+        todo += [(reader.name, i) for i in (range(attacks, attacks + MUTATIONS) if mutated else range(attacks))]
     results = list(hostile.run(todo, seed=7))
     wrong = [
         f"{r['reader']} {r['index']} ({r['attack']}): {r['outcome']}: {r['detail'][-500:]}"
@@ -59,9 +65,21 @@ def test_every_attack_ends_in_one_message() -> None:
         if r["outcome"] not in hostile.GOOD
     ]
     assert not wrong, "\n".join(wrong)
-    counts = Counter(r["outcome"] for r in results)
-    assert counts["refused"] > 500  # of about 650: attacks that reach no reader would show here
-    assert counts["read"] > 20
+    return Counter(r["outcome"] for r in results)
+
+
+@MEMORY_IS_MEASURED
+def test_every_attack_ends_in_one_message() -> None:
+    assert outcomes(mutated=False)["refused"] > 500  # of 558: attacks that reach no reader would show here
+
+
+@pytest.mark.full
+@MEMORY_IS_MEASURED
+def test_every_mutation_is_read_or_ends_in_one_message() -> None:
+    """Most are read, with all that follows: pictures, tables, a scene that is written and read again."""
+    counts = outcomes(mutated=True)
+    assert counts["refused"] > 20
+    assert counts["read"] > 20  # of 104
 
 
 def test_the_judge_sees_what_is_wrong(tmp_path: Path) -> None:
