@@ -48,7 +48,7 @@ def both(made: warpsar.Scene, draws: int) -> tuple[dict[str, float], dict[str, f
     return found, {name: pixel * float(image.astype(float).sum()) for name, image in expected.items()}
 
 
-@pytest.mark.parametrize("azimuth_deg", [0.0, 25.0])
+@pytest.mark.parametrize("azimuth_deg", [pytest.param(0.0, marks=pytest.mark.full), 25.0])
 def test_totals_of_a_block_on_rough_ground(azimuth_deg: float) -> None:
     """In its flash, and far off it: within 0.5 dB, as 6 draws tell to 0.1 dB."""
     mesh = mesh_of(soil=ground(10.0), brick=box((-2.0, -1.5, 0.0), (2.0, 1.5, 2.0)))
@@ -60,6 +60,7 @@ def test_totals_of_a_block_on_rough_ground(azimuth_deg: float) -> None:
             assert 10.0 * np.log10(found[name] / level) == pytest.approx(0.0, abs=0.5), name
 
 
+@pytest.mark.full
 def test_a_wall_mirrors_very_rough_ground() -> None:
     """Geometric optics: there and back add up as fields, 4 |R|^2 / 2 m^2 of L h tan(theta) of ground, in HH.
 

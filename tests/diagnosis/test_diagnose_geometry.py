@@ -190,6 +190,7 @@ def test_free_aim_points_hold_places_where_no_body_stays() -> None:
 # ---- how models are compared ----
 
 
+@pytest.mark.full
 def test_log_likelihood_of_all_pixels(nothing: Scene) -> None:
     """By hand: - sum of b ln(1 + t / b), t = L (r - 1 - ln r) of the ratio of the images with a twentieth of the lit
     pixels' median added; two pixels at the edge are left out, and pixels that measure 0 count."""
@@ -347,6 +348,7 @@ def test_bodies_stay_where_that_is_asked(moved: Scene, tmp_path: Path) -> None:
     assert not any(step.get("object") for step in content["steps"])
 
 
+@pytest.mark.full
 def test_the_scene_has_the_object_there(found: tuple[Path, dict[str, Any]]) -> None:
     out, content = found
     scene = Scene.load(out / "scene.toml")

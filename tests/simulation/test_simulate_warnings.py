@@ -6,6 +6,8 @@ import os
 import re
 import sys
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +21,7 @@ from worlds import ground, mesh_of, scene_of, view
 from warpsar.cli.main import main
 from warpsar.errors import InputError
 from warpsar.runtime import busy as busy_module
+from warpsar.runtime import devices
 from warpsar.runtime.busy import busy
 from warpsar.runtime.devices import resolve_device
 from warpsar.runtime.driver import no_driver_warning
@@ -233,6 +236,21 @@ def test_a_sign_of_life(monkeypatch: pytest.MonkeyPatch) -> None:
     with busy("short"):
         pass
     assert "short" not in stream.getvalue()
+
+
+def test_a_terminal_sees_kernels_being_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Which takes tens of seconds in the first run."""
+    said: list[str] = []
+
+    @contextmanager
+    def noted(what: str) -> Iterator[Callable[[str], None]]:
+        said.append(what)
+        yield said.append
+
+    monkeypatch.setattr(devices, "busy", noted)
+    devices.load_kernels(devices.resolve_device("cpu"), "merge", "shade")
+    what = "compiling kernels for cpu (first run only)"
+    assert said == [what, f"{what}: 1 of 2", f"{what}: 2 of 2"]
 
 
 def test_the_driver_warning_is_not_shown_and_all_else_is(capfd: pytest.CaptureFixture[str]) -> None:

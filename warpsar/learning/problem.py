@@ -42,6 +42,7 @@ from warpsar.simulation.rays import Rays
 from warpsar.speckle.likelihood import Curvature
 from warpsar.surface.stage import Stage
 from warpsar.world.tables import View
+from warpsar.world.world import lacks_images
 
 T = TypeVar("T")
 
@@ -84,7 +85,7 @@ class FitProblem(SceneCoordinates):
     ) -> None:
         chosen = [v for v in scene.views if v.role in roles and v.images and (views is None or v.name in views)]
         if not chosen:
-            raise InputError(f"{scene.name}: views: none with role {' or '.join(roles)} has measured images")
+            raise lacks_images(scene, *roles)
         super().__init__(scene, chosen)
         self.prior = Prior.of(self)
         if roughness is not None:

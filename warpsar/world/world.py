@@ -204,6 +204,14 @@ def refuse_without_views(world: World) -> None:
         raise InputError(f"{world.name}: views: found none; an image needs [image] and [[views]]")
 
 
+def lacks_images(world: World, *roles: str) -> InputError:
+    """To raise where no view of these roles has measured images: how to get some."""
+    return InputError(
+        f"{world.name}: views: none with role {' or '.join(roles)} has measured images; warpsar import brings one onto "
+        "a view's grid, and warpsar simulate --looks 4 --declare makes some to try"
+    )
+
+
 def posed(world: W, objects: Sequence[Object]) -> W:
     """The scene with its objects, the same ones, at other places or of other sizes."""
     assert world.assembly is not None

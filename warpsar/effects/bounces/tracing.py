@@ -27,7 +27,7 @@ from warpsar.effects.bounces.cells import (
 from warpsar.kernels import merge as merging
 from warpsar.kernels.effects import multibounce as kernels
 from warpsar.kernels.geometry import Band, RayGrid
-from warpsar.runtime import threads
+from warpsar.runtime import devices, threads
 from warpsar.runtime.structs import allocate, element_types, fill
 from warpsar.trace.hits import DEFAULT_MEMORY_GIB, BinGrid, concatenate
 from warpsar.trace.rays import ray_grid
@@ -103,7 +103,7 @@ def trace_paths(render: Recorder, max_bounces: int, cell_m: tuple[float, float] 
     rays = ray_grid(target, hits.geometry, wide, hits.rays_per_m2, area)
     first, last = rays.first_cell, rays.end_cell
     width = _band_width(rays, max_bounces, target.device)
-    wp.load_module(kernels, device=target.device)
+    devices.load_kernels(target.device, "effects.multibounce")
     cells = None if cell_m is None else cells_of(grid, cell_m, render.taper, target.device)
     bands = [
         fill(Band, first_cell=begin, end_cell=min(begin + width, last), seed=hits.seed)
