@@ -9,7 +9,6 @@ the intervals alone are judged, and a scene takes seconds. A run appends one lin
 runs that are there already are not made again. docs/diagnosis-rates.md has the results.
 """
 
-import json
 import sys
 import tempfile
 import time
@@ -23,16 +22,15 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import tables
-from diagnosis_rates import side_by_side, stored_runs
-from judgement_rates import SEEN, SHARING, bounds, seen, speckled
-from search_rates import Drawn, clean_images, drawn_scene, group_of, kinds_of, started
+from diagnosis_rates import append_runs, stored_runs
+from judgement_rates import bounds, with_images
+from search_rates import group_of, kinds_of, started, visible
 
-from warpsar.io.images import write_tiff
 from warpsar.learning.identify import identify
 from warpsar.learning.optimise import FitState, levenberg_marquardt
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.profiles import with_profiles
-from warpsar.runtime import console, devices
+from warpsar.runtime import devices
 from warpsar.scene.scene import Scene
 from warpsar.world.tables import Sampling
 
@@ -49,21 +47,11 @@ def measured(number: int, device: str, folder: Path) -> tuple[Scene, Scene, list
     kinds = kinds_of(number, random)
     if group_of(number) == "outside" or NOT_HERE.intersection(kinds):
         return None
-    correlated = bool(random.random() < 0.3)
-    while True:
-        found: Drawn = drawn_scene(number, kinds, random)
-        if correlated:
-            whole = {v: replace(law, looks=float(max(round(law.looks), 1))) for v, law in found.law.items()}
-            found = replace(found, law=whole)
-        clean = clean_images(found, device)
-        if not kinds or seen(found, clean, SHARING if correlated else 1.0, device, folder) > SEEN * len(kinds):
-            break
-    views = []
-    for view in found.true.views:
-        path, law = folder / f"{view.name}.tif", found.law[view.name]
-        speckle = speckled(random, law, clean[view.name].shape, correlated)
-        write_tiff(path, (clean[view.name] * speckle).astype(np.float32))
-        views.append(view.model_copy(update={"images": {"HH": path}, "looks": law.looks}))
+    found, clean, _, correlated = visible(number, kinds, random, device, folder)
+    views = [
+        view.model_copy(update={"looks": found.law[view.name].looks})
+        for view in with_images(random, replace(found, declared=found.true), clean, correlated, folder)
+    ]
     sampling = Sampling(seed=number, rays_per_pixel=RAYS_PER_PIXEL)
     scene = replace(found.true, views=views, sampling=sampling)
     return replace(scene, materials=started(scene, random)), found.true, kinds, correlated
@@ -126,13 +114,10 @@ def run(out: Path, first: int, scenes: int, jobs: int, max_time: float, device: 
     where = devices.resolve_device(device)
     done = {row["number"] for row in stored_runs(out)}
     numbers = [n for n in range(first, first + scenes) if n not in done and group_of(n) != "outside"]
-    bar = console.progress(len(numbers), "runs", "run")
-    when, end = tables.made(), time.perf_counter() + max_time
-    for row in side_by_side(numbers, jobs, end, (where.alias,), one_run):
-        with (out / "runs.jsonl").open("a") as stream:
-            stream.write(json.dumps(row | when) + "\n")
-        bar.update()
-    bar.close()
+    append_runs(
+        out, numbers, jobs, max_time, (where.alias,), one_run,
+        lambda row: f"{row['number']}: {', '.join(row['kinds'] or ()) or 'nothing'}",
+    )  # fmt: skip
 
 
 @main.command()

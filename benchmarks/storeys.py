@@ -27,18 +27,16 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import tables
-from diagnosis_rates import side_by_side, stored_runs
-from judgement_rates import Drawn, as_it_is, laws, seen, speckled
-from search_rates import block
+from diagnosis_rates import append_runs, stored_runs
+from judgement_rates import Drawn, as_it_is, laws, seen, with_images
+from search_rates import block, clean_images
 
 from warpsar.diagnosis.command import in_short
 from warpsar.diagnosis.found import DiagnoseOptions
 from warpsar.diagnosis.models.change import changes
 from warpsar.diagnosis.result import diagnose
-from warpsar.io.images import write_tiff
-from warpsar.runtime import console, devices
+from warpsar.runtime import devices
 from warpsar.scene.scene import Scene
-from warpsar.simulation.command import simulate
 from warpsar.world.mesh import Mesh
 from warpsar.world.tables import Grid, Material, Radar, Sampling, View
 
@@ -119,19 +117,10 @@ def one_run(key: str, device: str, minutes: float) -> dict[str, Any]:
     random = np.random.default_rng(sum(map(ord, key)))
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        clean = {
-            view.name: made.beta0["HH"].astype(float)
-            for view, made in zip(true.views, simulate(true, device=device), strict=True)
-        }
         found = Drawn(true, declared, laws(declared), as_it_is)
+        clean = clean_images(found, device)
         there = seen(found, clean, 1.0, device, folder)
-        views = []
-        for view in declared.views:
-            path = folder / f"{view.name}.tif"
-            drawn = speckled(random, found.law[view.name], clean[view.name].shape, False)
-            write_tiff(path, (clean[view.name] * drawn).astype(np.float32))
-            views.append(view.model_copy(update={"images": {"HH": path}}))
-        scene = replace(declared, views=views)
+        scene = replace(declared, views=with_images(random, found, clean, False, folder))
         begun = time.perf_counter()
         done = diagnose(scene, device=device, options=DiagnoseOptions(time_limit_s=60.0 * minutes))
     height = done.diagnosis.objects.get(MIDDLE, {})
@@ -179,14 +168,10 @@ def run(out: Path, jobs: int, minutes: float, max_time: float, device: str | Non
     done = {row["number"] for row in stored_runs(out)}
     keys = [f"{kind}|{at:g}|{looks:g}" for at in RESOLUTIONS_M for kind in MADE for looks in LOOKS]
     keys = [key for key in keys if key not in done]
-    bar = console.progress(len(keys), "runs", "run")
-    when, end = tables.made(), time.perf_counter() + max_time
-    for row in side_by_side(keys, jobs, end, (where.alias, minutes), one_run):
-        with (out / "runs.jsonl").open("a") as stream:
-            stream.write(json.dumps(row | when) + "\n")
-        bar.update()
-        click.echo(f"{row['number']}: {answer(row)}: {row['line']}", err=True)
-    bar.close()
+    append_runs(
+        out, keys, jobs, max_time, (where.alias, minutes), one_run,
+        lambda row: f"{row['number']}: {answer(row)}: {row['line']}",
+    )  # fmt: skip
 
 
 @main.command()

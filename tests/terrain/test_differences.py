@@ -11,7 +11,7 @@ from product_files import Band, write_safe
 from terrain_files import dem, landcover
 
 import warpsar
-from warpsar.terrain.differences import MOVES, TerrainDifferences, differences
+from warpsar.terrain.differences import AZIMUTH, HEIGHT, RANGE, TerrainDifferences, differences
 from warpsar.terrain.result import SimulatedProduct
 
 SHAPE = (128, 384)
@@ -104,16 +104,16 @@ def test_a_wrong_height_of_the_elevation_model_is_measured_and_tied(
     answer = asked(simulated, whole(twin(tmp_path, heights + 12.0, classes, "raised")))
     (one,) = answer.found
     assert one.named
-    assert {one.name, *one.tied} == {MOVES["height"], MOVES["range"]}
+    assert {one.name, *one.tied} == {HEIGHT, RANGE}
     cosine = np.cos(np.deg2rad(np.nanmean(simulated.image["ellipsoid_incidence"])))
-    raised = one.value if one.name == MOVES["height"] else -one.value / cosine
+    raised = one.value if one.name == HEIGHT else -one.value / cosine
     assert raised == pytest.approx(12.0, abs=0.5)  # five standard deviations; the slope of cosines over the image
 
 
 def test_a_shift_along_the_flight_is_measured(simulated: SimulatedProduct) -> None:
     answer = asked(simulated, np.roll(whole(simulated), 1, axis=0))
     (one,) = answer.found
-    assert named(answer) == [MOVES["azimuth"]]
+    assert named(answer) == [AZIMUTH]
     assert one.low < 13.7 < one.high  # a line, `product_files.Band`
 
 

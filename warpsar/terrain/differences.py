@@ -52,6 +52,7 @@ PLACE_ALLOWANCE_M = 4.0
 NORMAL_95 = 1.96
 DB = 10.0 / np.log(10.0)
 TREND = ("trend along lines", "trend along pixels")
+MOVES = RANGE, AZIMUTH, HEIGHT = "range timing", "azimuth timing", "height of the elevation model"
 
 
 @dataclass(frozen=True)
@@ -150,7 +151,7 @@ def differences(found: SimulatedProduct) -> TerrainDifferences | str | None:
             np.where(cells.usable, DB * np.log(cells.measured / power), np.nan)
             for power in (bare, cells.model(chosen, final).power)
         ]
-    words = [one.words for one in told] or ["nothing differs that these pixels can tell"]
+    words = [one.words for one in told] or ["of all that is asked, these pixels confirm nothing"]
     words.append(_farthest(found, cells, pictures[1]))
     return TerrainDifferences(
         cells.cell, told, tuple(asked), sum(squares), (left_over[0], left_over[1]), tuple(words),
@@ -180,11 +181,12 @@ class _Cells:
         self.cover = np.zeros(self.simulated.shape) if cover is None else np.asarray(cover, np.float64)
         self.measured = self._mean(np.asarray(image["measured"], np.float64))
         self.has_noise = "noise" in image
-        step = self._slant_step()
-        self.per_metre = {
-            "range": (0.0, 1.0 / step),
-            "azimuth": (1.0 / self._line_m(), 0.0),
-            "height": (0.0, -np.cos(np.deg2rad(np.asarray(image["ellipsoid_incidence"], np.float64))) / step),
+        step = slant_step_m(found)
+        line_m = float(np.nanmedian(image["area_beta"])) / abs(step)
+        self.per_metre: dict[str, tuple[float, float | F64]] = {
+            RANGE: (0.0, 1.0 / step),
+            AZIMUTH: (1.0 / line_m, 0.0),
+            HEIGHT: (0.0, -np.cos(np.deg2rad(np.asarray(image["ellipsoid_incidence"], np.float64))) / step),
         }
         """Lines and pixels by which the scene moves for a metre."""
         row, column = np.indices(self.measured.shape)
@@ -206,17 +208,11 @@ class _Cells:
     def _mean(self, values: F64) -> F64:
         return averaged(np.where(self.known, values, np.nan), self.cell)
 
-    def _slant_step(self) -> float:
-        return slant_step_m(self.found)
-
-    def _line_m(self) -> float:
-        return float(np.nanmedian(self.found.image["area_beta"])) / abs(self._slant_step())
-
     def parts(self, moves: tuple[float, float, float]) -> tuple[list[F64], list[F64], list[F64]]:
         """beta0 of each surface in cells, and its slopes by a line and by a pixel, after moves [m] in range, azimuth
         and height."""
         if moves not in self._placed:
-            off = [sum(one * self.per_metre[name][k] for one, name in zip(moves, PLACES, strict=True)) for k in (0, 1)]
+            off = [sum(one * self.per_metre[name][k] for one, name in zip(moves, MOVES, strict=True)) for k in (0, 1)]
             image, cover = np.nan_to_num(self.simulated), self.cover
             if any(moves):
                 row, column = np.indices(image.shape).astype(np.float64)
@@ -254,19 +250,19 @@ class _Cells:
         lit = [k for k, part in enumerate(self.parts((0.0, 0.0, 0.0))[0]) if part[self.usable].sum() > 0.0]
         names = ["calibration", *(["noise"] if self.has_noise else [])]
         names += [f"level of {self.surfaces[k]}" for k in lit] if len(lit) > 1 else []
-        return [*names, *self.regions, *(MOVES[name] for name in PLACES), *TREND]
+        return [*names, *self.regions, *MOVES, *TREND]
 
     def longest_step(self, name: str) -> float:
         """Of a fit: the logarithm of a factor, or metres of a move that slopes foretell."""
-        if name not in MOVES.values():
+        if name not in MOVES:
             return 1.5
-        lines, pixels = self.per_metre[next(key for key, value in MOVES.items() if value == name)]
+        lines, pixels = self.per_metre[name]
         return 2.0 / max(float(np.nanmax(np.abs(lines))), float(np.nanmax(np.abs(pixels))))
 
     def model(self, names: list[str], x: F64, also: list[str] | None = None) -> _Modelled:
         """With hypotheses at values x; derivatives by them and by others at 0."""
         at = dict(zip(names, map(float, x), strict=True))
-        moves = tuple(at.get(MOVES[name], 0.0) for name in PLACES)
+        moves = tuple(at.get(name, 0.0) for name in MOVES)
         parts, down, along = self.parts((moves[0], moves[1], moves[2]))
         factor = np.full(self.measured.shape, at.get("calibration", 0.0))
         for name, t in zip(TREND, self.trend, strict=True):
@@ -299,18 +295,15 @@ class _Cells:
         if name in self.regions:
             of, where = self.regions[name]
             return np.where(where, grown[of], 0.0)
-        if name in MOVES.values():
-            lines, pixels = self.per_metre[next(key for key, value in MOVES.items() if value == name)]
+        if name in MOVES:
+            lines, pixels = self.per_metre[name]
             pixels = self._mean(np.broadcast_to(pixels, self.simulated.shape))
-            return -sum(
+            found = [
                 f * (lines * np.nan_to_num(d) + np.nan_to_num(pixels) * np.nan_to_num(a))
                 for f, d, a in zip(scaled, down, along, strict=True)
-            )
+            ]
+            return -np.sum(found, axis=0)
         return grown[self.surfaces.index(name.removeprefix("level of "))]
-
-
-PLACES = ("range", "azimuth", "height")
-MOVES = {"range": "range timing", "azimuth": "azimuth timing", "height": "height of the elevation model"}
 
 
 @dataclass(frozen=True)
@@ -426,7 +419,7 @@ def _standard_deviations(cells: _Cells, names: list[str], x: F64, where: NDArray
 def _told(
     found: SimulatedProduct, cells: _Cells, name: str, value: float, sd: float, gain: float, tied: tuple[str, ...]
 ) -> TerrainDifference:
-    unit = "m" if name in MOVES.values() else "dB"
+    unit = "m" if name in MOVES else "dB"
     scale = 1.0 if unit == "m" else DB
     at, reach = scale * value, scale * NORMAL_95 * sd
     granted = _granted(cells, name, tied)
@@ -445,12 +438,12 @@ def _granted(cells: _Cells, name: str, tied: tuple[str, ...]) -> float | None:
         return spreads[cells.surfaces[cells.regions[name][0]]]
     if name.startswith("level of "):
         return spreads[name.removeprefix("level of ")]
-    if name == MOVES["azimuth"]:
+    if name == AZIMUTH:
         return None
-    if name in MOVES.values():
+    if name in MOVES:
         tells = 1.0
-        if name == MOVES["height"]:
-            if MOVES["range"] not in tied:
+        if name == HEIGHT:
+            if RANGE not in tied:
                 return None
             tells = float(np.nanmean(np.cos(np.deg2rad(cells.found.image["ellipsoid_incidence"]))))
         return PLACE_ALLOWANCE_M / tells
@@ -462,9 +455,9 @@ def _words(found: SimulatedProduct, cells: _Cells, one: TerrainDifference) -> st
     readings = {
         "calibration": f"all power is {amount} of the simulated: the calibration, or the levels of all surfaces",
         "noise": f"noise is {amount} of what the annotation says",
-        MOVES["range"]: f"the scene lies {amount} farther in slant range than simulated",
-        MOVES["azimuth"]: f"the scene lies {amount} later along the flight than simulated",
-        MOVES["height"]: f"the elevation model is to be raised by {amount}",
+        RANGE: f"the scene lies {amount} farther in slant range than simulated",
+        AZIMUTH: f"the scene lies {amount} later along the flight than simulated",
+        HEIGHT: f"the elevation model is to be raised by {amount}",
         TREND[0]: f"power grows by {amount} from the middle of the lines to the last: no cause is known here",
         TREND[1]: f"power grows by {amount} from the middle of the pixels to the last: the antenna pattern, or no "
         "cause that is known here",
@@ -510,7 +503,7 @@ def _farthest(found: SimulatedProduct, cells: _Cells, left_db: F64) -> str:
     count = np.bincount(which)
     mean = np.where(count >= SQUARE**2 // 2, np.bincount(which, left_db[where]) / count, 0.0)
     worst = int(np.argmax(np.abs(mean)))
-    row, column = (float(np.mean(each[where][which == worst])) for each in np.indices(left_db.shape))
+    row, column = (float(np.mean(each[which == worst])) for each in np.nonzero(where))
     at = int((row + 0.5) * cells.cell[0]), int((column + 0.5) * cells.cell[1])
     latitude, longitude = (found.image[name][at] for name in ("latitude", "longitude"))
     return (
