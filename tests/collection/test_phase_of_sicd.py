@@ -1,4 +1,4 @@
-"""A phase error in an own SICD, through `warpsar import` to what `diagnose` asks of the phase."""
+"""A phase error in an own SICD or CPHD, through `warpsar import` to what `diagnose` asks of the phase."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +12,7 @@ from worlds import mesh_of, plate
 import warpsar
 from warpsar.collection.command import run
 from warpsar.diagnosis.phase.declared import PhaseAsked, ask_phase, with_phase_errors
+from warpsar.effects.base.product import Product
 from warpsar.measured.importer import import_measured
 from warpsar.world.tables import Origin
 
@@ -41,24 +42,28 @@ def lawn_with_plates() -> warpsar.Mesh:
     return mesh_of(soil=soil, plates=(np.concatenate(vertices), np.concatenate(faces)))
 
 
-def asked_of(folder: Path, mesh: warpsar.Mesh, quadratic_rad: float) -> tuple[warpsar.Scene, PhaseAsked]:
-    """The scene of the imported SICD, which declares no phase error, and what is said of its view."""
+def asked_of(
+    folder: Path, mesh: warpsar.Mesh, quadratic_rad: float, product: Product = "slc"
+) -> tuple[warpsar.Scene, PhaseAsked]:
+    """The scene of the imported SICD or CPHD, which declares no phase error, and what is said of its view."""
     made: Any = scene(
         mesh,
         shape=(PIXELS, PIXELS),
         spacing=FINE_M,
         radar={"terms": ("rough",)},
-        collection={"focus": "direct", "resolution_m": None},
+        collection={"focus": "direct" if product == "slc" else "backprojection", "resolution_m": None},
         origin=Origin(latitude_deg=48.1, longitude_deg=11.6, height_m=500.0),
     )
     error = {"phase_error": {"quadratic_rad": {"v0": quadratic_rad}}} if quadratic_rad else {}
     materials = {name: warpsar.Material(**(BRIGHT if name == "plates" else ROUGH)) for name in mesh.materials}
     made = replace(made, views=[VIEW], materials=materials, effects={"point_spread": BLUR, **NOISE, **error})
     made.save(folder / "fine.toml")
-    run(folder / "fine.toml", folder / "slc", "slc", device="cpu")
+    run(folder / "fine.toml", folder / product, product, device="cpu")
     grid = warpsar.Grid(shape=(PIXELS // 2, PIXELS // 2), spacing_m=(2.0 * FINE_M[0], 2.0 * FINE_M[1]))
     replace(made, collection=None, grid=grid, effects=NOISE).save(folder / "measured.toml")
-    import_measured([folder / "slc" / "v0.nitf"], folder / "measured.toml", "v0", device="cpu")
+    source = folder / product / ("v0.nitf" if product == "slc" else "v0.cphd")
+    windows = {} if product == "slc" else {"window_range": "taylor", "window_azimuth": "taylor"}
+    import_measured([source], folder / "measured.toml", "v0", samples=(2, 2), device="cpu", **windows)
     read = warpsar.Scene.load(folder / "measured.toml")
     (found,) = ask_phase(read)
     return read, found
@@ -75,6 +80,17 @@ def test_an_error_in_an_own_sicd_is_named_and_measured(mesh: warpsar.Mesh, tmp_p
     assert table["fixed"] is True
     (again,) = ask_phase(with_phase_errors(read, [one]))
     assert again.found.outcome == "declared"
+
+
+@pytest.mark.full
+def test_an_error_in_an_own_cphd_is_named_and_measured(tmp_path: Path) -> None:
+    """The phase history is focused by `import`, which declares its blur, and the error is that of the pulses."""
+    read, one = asked_of(tmp_path, lawn_with_plates(), TURN, "phase-history")
+    spread = read.effects["point_spread"]
+    assert (spread["range_fwhm_m"], spread["azimuth_fwhm_m"]) == pytest.approx((0.6, 0.7), rel=0.01)
+    assert spread["window"] == "taylor"
+    assert one.found.outcome == "named", one.words
+    assert one.table()["quadratic_rad"] == pytest.approx(TURN, rel=0.05)
 
 
 @pytest.mark.full

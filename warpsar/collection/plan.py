@@ -14,7 +14,7 @@ from scipy import fft
 from warpsar.coherent.left_out import refuse_left_out
 from warpsar.collection import track_file
 from warpsar.collection.presets import BANDS_HZ
-from warpsar.collection.response import asked, band_weights, width_in_cells
+from warpsar.collection.response import asked, band_weights
 from warpsar.effects.base.effect import DeclaredEffect
 from warpsar.effects.base.phase import Copy, Response
 from warpsar.effects.base.product import Product
@@ -28,7 +28,7 @@ from warpsar.world.collection import Collection
 from warpsar.world.frame import SPEED_OF_LIGHT, ViewGeometry
 from warpsar.world.site import Site
 from warpsar.world.tables import View
-from warpsar.world.taper import taper
+from warpsar.world.taper import taper, width_in_cells
 from warpsar.world.track import Track, along, circle, straight
 from warpsar.world.world import World, geometry_of, refuse_without_views
 
