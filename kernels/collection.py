@@ -288,6 +288,49 @@ def gain(beam: Beam, pulse: int, place: wp.vec3d, point: wp.vec3d) -> float:
     return total
 
 
+_ADD_TO_BINS = """
+    const int bins = out.shape[2];
+    float* const first = (float*)&wp::index(out, p, row, 0);
+    const int odd = low & 1;
+    int at = low - odd;
+    float share[8];
+    for (int k = 0; k < 8; ++k) {
+        const float even_share = k < 6 ? weights.c[k < 6 ? k : 0] : 0.0f;
+        const float odd_share = k > 0 && k < 7 ? weights.c[k > 0 && k < 7 ? k - 1 : 0] : 0.0f;
+        share[k] = odd ? odd_share : even_share;
+    }
+    for (int k = 0; k < 6 + 2 * odd; k += 2) {
+        float* const there = first + 2 * at;
+        const float a = share[k] * value.c[0], b = share[k] * value.c[1];
+        const float c = share[k + 1] * value.c[0], d = share[k + 1] * value.c[1];
+#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 900
+        asm volatile("red.relaxed.gpu.global.add.v4.f32 [%0], {%1, %2, %3, %4};"
+                     :: "l"(__cvta_generic_to_global(there)), "f"(a), "f"(b), "f"(c), "f"(d) : "memory");
+#elif defined(__CUDA_ARCH__)
+        atomicAdd(there, a);
+        atomicAdd(there + 1, b);
+        atomicAdd(there + 2, c);
+        atomicAdd(there + 3, d);
+#else
+        there[0] += a;
+        there[1] += b;
+        there[2] += c;
+        there[3] += d;
+#endif
+        at = at + 2 < bins ? at + 2 : 0;
+    }
+"""
+
+
+@wp.func_native(_ADD_TO_BINS)
+def add_to_bins(out: wp.array3d[wp.vec2], p: int, row: int, low: int, weights: Six, value: wp.vec2):  # type: ignore[no-untyped-def]
+    """Weights times a value into WIDTH bins from `low` on, two bins to an atomic sum of four numbers where CUDA has it.
+
+    The number of bins is even, and they go round.
+    """
+    ...
+
+
 @wp.kernel(enable_backward=False)
 def deposit_kernel(
     # In:
@@ -303,7 +346,8 @@ def deposit_kernel(
 ):
     """Range-compressed pulses, (polarizations, pulses, bins): each scatterer e^{-j 2 pi turns} into WIDTH bins.
 
-    A thread takes every `lanes`-th scatterer of one pulse. The way is worked out in float64, from differences.
+    A thread takes every `lanes`-th scatterer of one pulse. The way is worked out in float64, from differences. The
+    number of bins is even. On the CPU kernels/pulse_deposit.py does the same.
     """
     row, lane = wp.tid()
     pulse = pulse_in[row]
@@ -338,11 +382,7 @@ def deposit_kernel(
         for p in range(bins_out.shape[0]):
             a = scatterers.amplitude[p, i]
             value = wp.vec2(a[0] * c - a[1] * s, a[0] * s + a[1] * c)
-            for w in range(WIDTH):
-                bin = low + w
-                if bin >= bins:
-                    bin = bin - bins
-                wp.atomic_add(bins_out, p, row, bin, weights[w] * value)
+            add_to_bins(bins_out, p, row, low, weights, value)
 
 
 @wp.struct

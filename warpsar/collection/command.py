@@ -154,7 +154,9 @@ def wide_tubes(tally: TubeTally) -> list[str]:
 
 def load_kernels(device: wp.Device) -> None:
     coherent = ("tubes", "radiate", "edges", "rough", "placing")
-    devices.load_kernels(device, *(f"coherent.{name}" for name in coherent), "collection", "backproject")
+    devices.load_kernels(
+        device, *(f"coherent.{name}" for name in coherent), "collection", "pulse_deposit", "backproject"
+    )
 
 
 def run(

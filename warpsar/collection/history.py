@@ -23,6 +23,7 @@ from warpsar.errors import InputError
 from warpsar.formats.base.acquisition import RecordedSignal
 from warpsar.formats.base.data import PhaseHistory
 from warpsar.kernels import collection as kernels
+from warpsar.kernels import pulse_deposit
 from warpsar.runtime import threads
 from warpsar.runtime.structs import fill
 from warpsar.version import __version__
@@ -32,8 +33,8 @@ if TYPE_CHECKING:
     import xarray
 
 OVERSAMPLING = 2
-LANES = {"cpu": 1, "cuda": 4096}
-"""Threads for each pulse."""
+LANES = 4096
+"""Threads for each pulse on CUDA."""
 PULSES_TOGETHER = {"cpu": 16, "cuda": 1024}
 
 
@@ -201,39 +202,63 @@ class PartOnDevice:
         return cls(part.weight, fill(kernels.MovingScatterers, **places, amplitude=upload(values, wp.vec2, device)))
 
 
-def deposited(
-    plan: Plan, track: Any, parts: list[PartOnDevice], polarizations: int, some: slice, lanes: int
-) -> wp.array:
-    """Range bins of some pulses, (polarizations, pulses, bins), on the device; `track` is that of `track_of`."""
+def deposited(plan: Plan, track: Any, parts: list[PartOnDevice], polarizations: int, some: slice) -> wp.array:
+    """Range bins of some pulses on the device; `track` is that of `track_of`.
+
+    On CUDA complex numbers (polarizations, pulses, bins); on the CPU what `kernels/pulse_deposit.py` makes.
+    """
     device = track.time.device
-    bins = fft.next_fast_len(OVERSAMPLING * plan.frequencies)
-    pulses = np.arange(some.start, some.stop)
-    out = wp.zeros((polarizations, len(pulses), bins), dtype=wp.vec2, device=device)
-    middle = plan.frequencies // 2
+    bins, pulses = bins_of(plan), np.arange(some.start, some.stop)
     rows = upload(pulses.astype(np.int32), int, device)
+    if device.is_cpu:
+        shape = (2, polarizations, len(pulses), bins + pulse_deposit.SPARE)
+        out = wp.zeros(shape, dtype=float, device=device)
+        table = upload(_weights_table(), float, device)
+    else:
+        out = wp.zeros((polarizations, len(pulses), bins), dtype=wp.vec2, device=device)
     for part in parts:
         weight = part.weight[some]
         if not weight.any():
             continue
-        inputs = [
-            rows,
-            upload(weight, float, device),
-            track,
-            2.0 * (plan.start_hz + middle * plan.step_hz) / SPEED_OF_LIGHT,
-            2.0 * plan.step_hz * bins / SPEED_OF_LIGHT,
-            part.scatterers,
-            lanes,
-        ]
-        wp.launch(kernels.deposit_kernel, (len(pulses), lanes), inputs=inputs, outputs=[out], device=device)
+        inputs = [rows, upload(weight, float, device), track, *scales(plan)]
+        if device.is_cpu:
+            inputs += [bins, part.scatterers, table]
+            wp.launch(pulse_deposit.pulse_deposit_kernel, 1, inputs=inputs, outputs=[out], device=device)
+        else:
+            inputs += [part.scatterers, LANES]
+            wp.launch(kernels.deposit_kernel, (len(pulses), LANES), inputs=inputs, outputs=[out], device=device)
     return out
+
+
+def scales(plan: Plan) -> list[float]:
+    """Turns of phase of the middle frequency, and bins, for each metre of a mean way."""
+    middle = plan.start_hz + plan.frequencies // 2 * plan.step_hz
+    return [2.0 * middle / SPEED_OF_LIGHT, 2.0 * plan.step_hz * bins_of(plan) / SPEED_OF_LIGHT]
+
+
+def bins_of(plan: Plan) -> int:
+    """Range bins of a pulse: an even number."""
+    return OVERSAMPLING * fft.next_fast_len(plan.frequencies)
+
+
+@cache
+def _weights_table() -> NDArray[np.float32]:
+    return pulse_deposit.weights_table().ravel()
 
 
 def _block(plan: Plan, track: Any, parts: list[PartOnDevice], polarizations: int, some: slice) -> Any:
     """Spectra of some pulses, (polarizations, pulses, frequencies)."""
-    lanes = LANES["cpu" if track.time.device.is_cpu else "cuda"]
-    out = deposited(plan, track, parts, polarizations, some, lanes)
-    profiles = np.ascontiguousarray(out.numpy()).view(np.complex64)[..., 0]
+    found = np.ascontiguousarray(deposited(plan, track, parts, polarizations, some).numpy())
+    profiles = _gone_round(found, bins_of(plan)) if track.time.device.is_cpu else found.view(np.complex64)[..., 0]
     return undeposited(fft.fft(profiles, axis=-1), plan.frequencies).astype(np.complex64)
+
+
+def _gone_round(rows: NDArray[np.float32], bins: int) -> NDArray[np.complex64]:
+    """The bins of the CPU's rows (2, ..., bins + SPARE), (..., bins)."""
+    rows[..., : pulse_deposit.SPARE] += rows[..., bins:]
+    found = np.empty((*rows.shape[1:-1], bins), np.complex64)
+    found.real, found.imag = np.roll(rows[..., :bins], -3, axis=-1)
+    return found
 
 
 def undeposited(spectrum: NDArray[np.complex64], count: int) -> NDArray[np.complex64]:
