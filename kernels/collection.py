@@ -29,12 +29,18 @@ TWO_PI = wp.constant(6.283185307179586)
 
 @wp.struct
 class Beam:
-    """Unit vectors across the beam of each pulse, and the sine of its half-power widths; 0 is even."""
+    """Unit vectors across the beam of each pulse, and the sine of its half-power widths; 0 is even.
+
+    Or a measured two-way pattern over azimuth and elevation off its axis, from `start` [deg] on, `every` to a degree.
+    """
 
     along: wp.array[wp.vec3d]
     up: wp.array[wp.vec3d]
     wide: float
     high: float
+    pattern: wp.array2d[wp.vec2]
+    start: wp.vec2
+    every: wp.vec2
 
 
 @wp.struct
@@ -331,6 +337,38 @@ def add_to_bins(out: wp.array3d[wp.vec2], p: int, row: int, low: int, weights: S
     ...
 
 
+@wp.func
+def angle_deg(sine: wp.float64) -> float:
+    return 57.29577951 * wp.asin(float(sine))
+
+
+@wp.func
+def measured_gain(beam: Beam, pulse: int, place: wp.vec3d, point: wp.vec3d) -> wp.vec2:
+    """Two-way complex amplitude of a measured pattern; 1 without one."""
+    rows = beam.pattern.shape[0]
+    columns = beam.pattern.shape[1]
+    if rows == 0:
+        return wp.vec2(1.0, 0.0)
+    to = wp.normalize(point - place)
+    x = (angle_deg(wp.dot(to, beam.along[pulse])) - beam.start[0]) * beam.every[0]
+    y = (angle_deg(wp.dot(to, beam.up[pulse])) - beam.start[1]) * beam.every[1]
+    if x < 0.0 or y < 0.0 or x > float(rows - 1) or y > float(columns - 1):
+        return wp.vec2()
+    i = wp.min(int(x), rows - 2)
+    j = wp.max(wp.min(int(y), columns - 2), 0)
+    k = wp.min(j + 1, columns - 1)
+    u = x - float(i)
+    v = y - float(j)
+    low = (1.0 - v) * beam.pattern[i, j] + v * beam.pattern[i, k]
+    high = (1.0 - v) * beam.pattern[i + 1, j] + v * beam.pattern[i + 1, k]
+    return (1.0 - u) * low + u * high
+
+
+@wp.func
+def times(a: wp.vec2, b: wp.vec2) -> wp.vec2:
+    return wp.vec2(a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0])
+
+
 @wp.kernel(enable_backward=False)
 def deposit_kernel(
     # In:
@@ -370,7 +408,7 @@ def deposit_kernel(
             factor = factor * gain(track.beam, pulse, transmitter, point)
         else:
             factor = factor * factor / weight
-        phase = factor * turn(-way * turns_per_metre)
+        phase = factor * times(turn(-way * turns_per_metre), measured_gain(track.beam, pulse, receiver, point))
         c = phase[0]
         s = phase[1]
         at = way * bins_per_metre
@@ -483,7 +521,8 @@ def image_deposit_kernel(
         way = way_less_reference(frame.centre, point, frame.centre_slant)
         aimed = point
     one_way = gain(frame.beam, frame.pulse, frame.receiver, aimed)
-    phase = scale * one_way * one_way * turn(-way * frame.turns_per_metre)
+    measured = measured_gain(frame.beam, frame.pulse, frame.receiver, aimed)
+    phase = scale * one_way * one_way * times(turn(-way * frame.turns_per_metre), measured)
     c = phase[0]
     s = phase[1]
     row = int(wp.ceil(row_at - HALF))

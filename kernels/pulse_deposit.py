@@ -36,6 +36,8 @@ _DEPOSIT = """
     const bool moving = scatterers.velocity.shape[0] > 0;
     const bool wide = track.beam.wide > 0.0f, high = track.beam.high > 0.0f;
     const int antennas = track.bistatic ? 2 : 1;
+    const auto& pattern = track.beam.pattern;
+    const int angles = pattern.shape[0], heights = pattern.shape[1];
     const double period = (double)bins;
     for (int begin = 0; begin < count; begin += CHUNK) {
         const int size = wp::min(CHUNK, count - begin), groups = (size + 7) / 8;
@@ -69,7 +71,7 @@ _DEPOSIT = """
                 }
                 const D square = x[0] * x[0] + x[1] * x[1] + x[2] * x[2];
                 D way = square * 0.0;
-                F gain = F{} + weight;
+                F gain = F{} + weight, aside = F{};
                 for (int n = 0; n < antennas; ++n) {
                     const auto& place = n ? track.transmitter.data[at_pulse] : track.receiver.data[at_pulse];
                     const double own = n ? track.transmitter_own.data[at_pulse] : track.receiver_own.data[at_pulse];
@@ -77,7 +79,35 @@ _DEPOSIT = """
                     const D change = square - 2.0 * along;
                     const D distance = __builtin_elementwise_sqrt(own * own + change);
                     way += change / (distance + own);
-                    if (wide || high) {
+                    if (angles > 0) {
+                        const auto& level = track.beam.along.data[at_pulse];
+                        const auto& up = track.beam.up.data[at_pulse];
+                        for (int k = 0; k < 8; ++k) {
+                            double a = 0.0, b = 0.0;
+                            for (int c = 0; c < 3; ++c) {
+                                const double to = x[c][k] - place.c[c];
+                                a += to * level.c[c];
+                                b += to * up.c[c];
+                            }
+                            const float scale = 57.29577951f;
+                            const auto& start = track.beam.start;
+                            const auto& every = track.beam.every;
+                            const float r = (scale * wp::asin((float)(a / distance[k])) - start.c[0]) * every.c[0];
+                            const float q = (scale * wp::asin((float)(b / distance[k])) - start.c[1]) * every.c[1];
+                            float parts[2] = {};
+                            if (r >= 0.0f && q >= 0.0f && r <= angles - 1 && q <= heights - 1) {
+                                const int i = wp::min((int)r, angles - 2), j = wp::max(wp::min((int)q, heights - 2), 0);
+                                const int next = wp::min(j + 1, heights - 1);
+                                const float u = r - i, v = q - j;
+                                const float share[4] = {(1 - u) * (1 - v), (1 - u) * v, u * (1 - v), u * v};
+                                for (int n = 0; n < 4; ++n)
+                                    for (int c = 0; c < 2; ++c)
+                                        parts[c] += share[n] * wp::index(pattern, i + n / 2, n % 2 ? next : j).c[c];
+                            }
+                            aside[k] = weight * parts[1];
+                            gain[k] = weight * parts[0];
+                        }
+                    } else if (wide || high) {
                         const auto& level = track.beam.along.data[at_pulse];
                         const auto& up = track.beam.up.data[at_pulse];
                         for (int k = 0; k < 8; ++k) {
@@ -103,14 +133,15 @@ _DEPOSIT = """
                 const I quarter = __builtin_convertvector(__builtin_elementwise_floor(4.0f * rest + 0.5f), I);
                 const F t = 6.283185307f * (rest - 0.25f * __builtin_convertvector(quarter, F));
                 const F y = t * t;
-                const F s = t * (1.0f + y * (-1.0f / 6.0f + y * (1.0f / 120.0f + y * (-1.0f / 5040.0f + y / 362880.0f))));
+                const F s = t + t * y * (-1.0f / 6.0f + y * (1.0f / 120.0f + y * (-1.0f / 5040.0f + y / 362880.0f)));
                 const F c = 1.0f + y * (-0.5f + y * (1.0f / 24.0f + y * (-1.0f / 720.0f + y * (1.0f / 40320.0f))));
                 const I odd = (quarter & 1) != 0;
                 F cosine = odd ? s : c, sine = odd ? c : s;
                 cosine = (((quarter + 1) & 2) != 0) ? -cosine : cosine;
                 sine = ((quarter & 2) != 0) ? -sine : sine;
-                cosine *= gain;
-                sine *= gain;
+                const F real = cosine * gain - sine * aside;
+                sine = sine * gain + cosine * aside;
+                cosine = real;
                 const D bin = bins_per_metre * way;
                 const D inside = bin - period * __builtin_elementwise_floor(bin / period);
                 const D floor = __builtin_elementwise_floor(inside);

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from warpsar.coherent.records import upload
+from warpsar.collection.antenna_file import AntennaPatternTable
 from warpsar.collection.plan import MOST, Plan, boresight
 from warpsar.collection.scatterers import TOGETHER, ScattererPart, Scatterers, Stream
 from warpsar.errors import InputError
@@ -27,6 +28,7 @@ from warpsar.kernels import pulse_deposit
 from warpsar.runtime import threads
 from warpsar.runtime.structs import fill
 from warpsar.version import __version__
+from warpsar.world.collection import AntennaChannels
 from warpsar.world.frame import SPEED_OF_LIGHT
 
 if TYPE_CHECKING:
@@ -66,10 +68,10 @@ class Collected:
             samples=self.samples[self.polarizations.index(polarization)],
             frequency_start_hz=np.full(pulses, plan.start_hz),
             frequency_step_hz=np.full(pulses, plan.step_hz),
-            position_m=plan.track.receiver_m,
-            reference_range_m=plan.track.reference_m(),
+            position_m=plan.recorded.receiver_m,
+            reference_range_m=plan.recorded.reference_m(),
             polarization=polarization,
-            transmitter_m=plan.track.transmitter_m if plan.track.bistatic else None,
+            transmitter_m=plan.recorded.transmitter_m if plan.recorded.bistatic else None,
         )
 
     def signal(self) -> RecordedSignal:
@@ -84,7 +86,7 @@ class Collected:
             import xarray
         except ImportError as error:
             raise InputError('xarray is needed: pip install "warpsar[xarray]"') from error
-        track = self.plan.track
+        track = self.plan.recorded
         place = ("time", "component")
         return xarray.Dataset(
             {
@@ -104,7 +106,7 @@ class Collected:
 
     def arrays(self) -> dict[str, Any]:
         """What the .npz holds."""
-        track = self.plan.track
+        track = self.plan.recorded
         return {
             "samples": self.samples,
             "polarizations": np.array(self.polarizations),
@@ -126,11 +128,34 @@ def phase_history(
     track = track_of(plan, device)
     for parts in _batches(scatterers.parts, getattr(scatterers, "together", TOGETHER)):
         add_spectra(plan, track, parts, spectrum)
-    if plan.phase_error is not None:
-        spectrum *= np.exp(1j * plan.phase_error).astype(np.complex64)[:, None]
+    turn = plan.recorded_turn()
+    if turn is not None:
+        spectrum *= turn
+    spectrum = mixed(plan, spectrum, polarizations)
     return Collected(
         plan, polarizations, np.ascontiguousarray(spectrum.swapaxes(1, 2)), scatterers.count, scatterers.aliased
     )
+
+
+def mixed(plan: Plan, samples: NDArray[np.complex64], polarizations: Sequence[str]) -> NDArray[np.complex64]:
+    """What the channels of both antennas make of polarizations, (polarizations, ...): R S T (Quegan 1994).
+
+    HV is transmitted H, received V: the element of S in row V, column H.
+    """
+    errors = plan.table.errors
+    if errors is None or (errors.transmit is None and errors.receive is None):
+        return samples
+    transmit, receive = _channels(errors.transmit).T, _channels(errors.receive)
+    at = ["HV".index(name[0]) for name in polarizations], ["HV".index(name[1]) for name in polarizations]
+    share = receive[np.ix_(at[1], at[1])] * transmit[np.ix_(at[0], at[0])].T
+    found: NDArray[np.complex64] = np.tensordot(share.astype(np.complex64), samples, axes=1)
+    return found
+
+
+def _channels(channels: AntennaChannels | None) -> NDArray[np.complex128]:
+    """Rows are channels, columns waves, (2, 2), horizontal first."""
+    one = channels or AntennaChannels()
+    return np.array([[1.0, complex(*one.v_in_h)], [complex(*one.h_in_v), complex(*one.imbalance)]])
 
 
 def add_spectra(
@@ -170,6 +195,10 @@ def beam_of(plan: Plan, device: wp.Device) -> Any:
     beam: Any = kernels.Beam()
     beam.along, beam.up = upload(axes[0], wp.vec3d, device), upload(axes[1], wp.vec3d, device)
     beam.wide, beam.high = float(widths[0]), float(widths[1])
+    pattern = plan.pattern or AntennaPatternTable((0.0, 0.0), (0.0, 0.0), np.zeros((0, 0), np.complex64))
+    beam.pattern = upload(pattern.amplitude.view(np.float32).reshape(*pattern.amplitude.shape, 2), wp.vec2, device)
+    beam.start = wp.vec2(*pattern.start_deg)
+    beam.every = wp.vec2(*(1.0 / step if step else 0.0 for step in pattern.step_deg))
     return beam
 
 
