@@ -369,6 +369,32 @@ def times(a: wp.vec2, b: wp.vec2) -> wp.vec2:
     return wp.vec2(a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0])
 
 
+@wp.struct
+class Echo:
+    """What a pulse has of a point."""
+
+    way: wp.float64  # mean of both, less that of the reference point [m]
+    phase: wp.vec2  # e^{-j 2 pi turns} times the antenna's two-way amplitude
+
+
+@wp.func
+def echo_of(track: SensorTrack, pulse: int, point: wp.vec3d, turns_per_metre: wp.float64) -> Echo:
+    receiver = track.receiver[pulse]
+    echo = Echo()
+    echo.way = way_less_reference(receiver, point, track.receiver_own[pulse])
+    one = gain(track.beam, pulse, receiver, point)
+    if track.bistatic != 0:
+        transmitter = track.transmitter[pulse]
+        other = way_less_reference(transmitter, point, track.transmitter_own[pulse])
+        echo.way = wp.float64(0.5) * (echo.way + other)
+        one = one * gain(track.beam, pulse, transmitter, point)
+    else:
+        one = one * one
+    measured = measured_gain(track.beam, pulse, receiver, point)
+    echo.phase = one * times(turn(-echo.way * turns_per_metre), measured)
+    return echo
+
+
 @wp.kernel(enable_backward=False)
 def deposit_kernel(
     # In:
@@ -392,26 +418,16 @@ def deposit_kernel(
     weight = weight_in[row]
     if weight == 0.0:
         return
-    receiver = track.receiver[pulse]
-    transmitter = track.transmitter[pulse]
     bins = bins_out.shape[2]
     for step in range((scatterers.point.shape[0] - lane + lanes - 1) // lanes):
         i = lane + step * lanes
         point = scatterers.point[i]
         if scatterers.velocity.shape[0] > 0:
             point = point + track.time[pulse] * scatterers.velocity[i]
-        way = way_less_reference(receiver, point, track.receiver_own[pulse])
-        factor = weight * gain(track.beam, pulse, receiver, point)
-        if track.bistatic != 0:
-            other = way_less_reference(transmitter, point, track.transmitter_own[pulse])
-            way = wp.float64(0.5) * (way + other)
-            factor = factor * gain(track.beam, pulse, transmitter, point)
-        else:
-            factor = factor * factor / weight
-        phase = factor * times(turn(-way * turns_per_metre), measured_gain(track.beam, pulse, receiver, point))
-        c = phase[0]
-        s = phase[1]
-        at = way * bins_per_metre
+        echo = echo_of(track, pulse, point, turns_per_metre)
+        c = weight * echo.phase[0]
+        s = weight * echo.phase[1]
+        at = echo.way * bins_per_metre
         first = int(wp.ceil(at - HALF))
         weights = weights_from(float(wp.float64(first) - at))
         low = first % bins
@@ -421,6 +437,42 @@ def deposit_kernel(
             a = scatterers.amplitude[p, i]
             value = wp.vec2(a[0] * c - a[1] * s, a[0] * s + a[1] * c)
             add_to_bins(bins_out, p, row, low, weights, value)
+
+
+@wp.kernel(enable_backward=False)
+def gather_kernel(
+    # In:
+    pulse_in: wp.array[int],
+    track: SensorTrack,
+    turns_per_metre: wp.float64,
+    bins_per_metre: wp.float64,
+    point_in: wp.array[wp.vec3d],
+    bins_in: wp.array2d[wp.vec2],
+    # In and out:
+    amplitude_out: wp.array[wp.vec2d],
+):
+    """The adjoint of a deposit of one polarization: a point takes from bins what it gave to them, turned back."""
+    i = wp.tid()
+    total = amplitude_out[i]
+    bins = bins_in.shape[1]
+    for row in range(pulse_in.shape[0]):
+        echo = echo_of(track, pulse_in[row], point_in[i], turns_per_metre)
+        at = echo.way * bins_per_metre
+        first = int(wp.ceil(at - HALF))
+        weights = weights_from(float(wp.float64(first) - at))
+        low = first % bins
+        if low < 0:
+            low = low + bins
+        value = wp.vec2()
+        for w in range(WIDTH):
+            value += weights[w] * bins_in[row, (low + w) % bins]
+        c = echo.phase[0]
+        s = echo.phase[1]
+        total += wp.vec2d(
+            wp.float64(value[0] * c + value[1] * s),
+            wp.float64(value[1] * c - value[0] * s),
+        )
+    amplitude_out[i] = total
 
 
 @wp.struct

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import fft
 
 from warpsar.coherent.records import upload
@@ -25,7 +25,7 @@ from warpsar.formats.base.acquisition import RecordedSignal
 from warpsar.formats.base.data import PhaseHistory
 from warpsar.kernels import collection as kernels
 from warpsar.kernels import pulse_deposit
-from warpsar.runtime import threads
+from warpsar.runtime import devices, threads
 from warpsar.runtime.structs import fill
 from warpsar.version import __version__
 from warpsar.world.collection import AntennaChannels
@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 OVERSAMPLING = 2
 LANES = 4096
 """Threads for each pulse on CUDA."""
+POINTS_TOGETHER = 4096
+"""Of the adjoint, in a task of the CPU."""
 PULSES_TOGETHER = {"cpu": 16, "cuda": 1024}
 
 
@@ -135,6 +137,66 @@ def phase_history(
     return Collected(
         plan, polarizations, np.ascontiguousarray(spectrum.swapaxes(1, 2)), scatterers.count, scatterers.aliased
     )
+
+
+class PhaseHistoryMap:
+    """The linear map from amplitudes of points to their samples, and its adjoint: for inversion and autofocus.
+
+    At the places of pixels the adjoint is a backprojection without a taper, and the map is the adjoint of that one.
+    Both have the antenna's beam and the phases of `plan.recorded_turn`; the map's error is that of `phase_history`.
+    """
+
+    def __init__(self, plan: Plan, points_m: ArrayLike, device: str | None = None) -> None:
+        """`points_m`: (n, 3) about the reference point [m]. Raises InputError and DeviceError."""
+        points = np.asarray(points_m, np.float64)
+        if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
+            raise InputError(f"points_m: found the shape {points.shape}, or no numbers; must be (n, 3), finite")
+        self.plan, self.points_m = plan, points
+        self._device = devices.resolve_device(device)
+        self._track, self._turn = track_of(plan, self._device), plan.recorded_turn()
+
+    def forward(self, amplitude: ArrayLike) -> NDArray[np.complex64]:
+        """Samples, (frequencies, pulses), of amplitudes (n,) [m]: a point's power is its RCS."""
+        values = np.asarray(amplitude, np.complex64)
+        if values.shape != (len(self.points_m),):
+            raise InputError(f"amplitude: found the shape {values.shape}; must be ({len(self.points_m)},)")
+        part = ScattererPart(self.points_m, values[None], np.ones(len(self.plan.track), np.float32))
+        spectrum = np.zeros((1, len(self.plan.track), self.plan.frequencies), np.complex64)
+        add_spectra(self.plan, self._track, [part], spectrum)
+        found = spectrum[0] if self._turn is None else spectrum[0] * self._turn
+        return np.ascontiguousarray(found.T)
+
+    def adjoint(self, samples: ArrayLike) -> NDArray[np.complex64]:
+        """Of samples (frequencies, pulses), (n,): the sum of each times the conjugate of what the point gives to it."""
+        plan, device = self.plan, self._device
+        given = np.asarray(samples, np.complex64)
+        if given.shape != (plan.frequencies, len(plan.track)):
+            raise InputError(f"samples: found the shape {given.shape}; must be ({plan.frequencies}, {len(plan.track)})")
+        bins, step = bins_of(plan), PULSES_TOGETHER["cuda"]
+        order = (np.arange(plan.frequencies) - plan.frequencies // 2) % bins
+        points = upload(self.points_m, wp.vec3d, device)
+        out = wp.zeros(len(points), dtype=wp.vec2d, device=device)
+        for first in range(0, len(plan.track), step):
+            some = slice(first, min(first + step, len(plan.track)))
+            spectrum = given[:, some].T
+            if self._turn is not None:
+                spectrum = spectrum * self._turn[some].conj()
+            whole = np.zeros((len(spectrum), bins), np.complex64)
+            whole[:, order] = spectrum / spread_transform(bins, plan.frequencies)
+            profiles = (fft.ifft(whole, axis=1) * np.float32(bins)).astype(np.complex64)
+            rows = upload(np.arange(some.start, some.stop, dtype=np.int32), int, device)
+            pairs = upload(profiles.view(np.float32).reshape(*profiles.shape, 2), wp.vec2, device)
+
+            def launch(low: int, high: int, rows: wp.array = rows, pairs: wp.array = pairs) -> None:
+                inputs = [rows, self._track, *scales(plan), points[low:high], pairs]
+                wp.launch(kernels.gather_kernel, high - low, inputs=inputs, outputs=[out[low:high]], device=device)
+
+            each = POINTS_TOGETHER if device.is_cpu else max(len(points), 1)
+            tasks = [partial(launch, a, min(a + each, len(points))) for a in range(0, len(points), each)]
+            for _ in threads.ordered(tasks, device):
+                pass
+        found: NDArray[np.complex64] = out.numpy().view(np.complex128)[:, 0].astype(np.complex64)
+        return found
 
 
 def mixed(plan: Plan, samples: NDArray[np.complex64], polarizations: Sequence[str]) -> NDArray[np.complex64]:
