@@ -6,15 +6,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from collected_scenes import ROUGH, scene
+from collected_scenes import ROUGH, WAVELENGTH, scene
 from worlds import mesh_of, plate
 
 import warpsar
 from warpsar.collection.command import run
-from warpsar.diagnosis.phase.declared import PhaseAsked, ask_phase, with_phase_errors
+from warpsar.diagnosis.phase.declared import PhaseAsked, ask_phase, named_in, with_phase_errors
 from warpsar.effects.base.product import Product
 from warpsar.measured.importer import import_measured
+from warpsar.world.collection import CollectionErrors
 from warpsar.world.tables import Origin
+from warpsar.world.taper import width_in_cells
 
 pytest.importorskip("sarkit")
 TURN = 2.0 * np.pi
@@ -43,7 +45,7 @@ def lawn_with_plates() -> warpsar.Mesh:
 
 
 def asked_of(
-    folder: Path, mesh: warpsar.Mesh, quadratic_rad: float, product: Product = "slc"
+    folder: Path, mesh: warpsar.Mesh, quadratic_rad: float, product: Product = "slc", **collection: Any
 ) -> tuple[warpsar.Scene, PhaseAsked]:
     """The scene of the imported SICD or CPHD, which declares no phase error, and what is said of its view."""
     made: Any = scene(
@@ -51,7 +53,7 @@ def asked_of(
         shape=(PIXELS, PIXELS),
         spacing=FINE_M,
         radar={"terms": ("rough",)},
-        collection={"focus": "direct" if product == "slc" else "backprojection", "resolution_m": None},
+        collection={"focus": "direct" if product == "slc" else "backprojection", "resolution_m": None} | collection,
         origin=Origin(latitude_deg=48.1, longitude_deg=11.6, height_m=500.0),
     )
     error = {"phase_error": {"quadratic_rad": {"v0": quadratic_rad}}} if quadratic_rad else {}
@@ -60,7 +62,8 @@ def asked_of(
     made.save(folder / "fine.toml")
     run(folder / "fine.toml", folder / product, product, device="cpu")
     grid = warpsar.Grid(shape=(PIXELS // 2, PIXELS // 2), spacing_m=(2.0 * FINE_M[0], 2.0 * FINE_M[1]))
-    replace(made, collection=None, grid=grid, effects=NOISE).save(folder / "measured.toml")
+    seen = [VIEW.model_copy(update={key: collection[key] for key in ("slant_range_m",) if key in collection})]
+    replace(made, collection=None, grid=grid, effects=NOISE, views=seen).save(folder / "measured.toml")
     source = folder / product / ("v0.nitf" if product == "slc" else "v0.cphd")
     windows = {} if product == "slc" else {"window_range": "taylor", "window_azimuth": "taylor"}
     import_measured([source], folder / "measured.toml", "v0", samples=(2, 2), device="cpu", **windows)
@@ -91,6 +94,33 @@ def test_an_error_in_an_own_cphd_is_named_and_measured(tmp_path: Path) -> None:
     assert spread["window"] == "taylor"
     assert one.found.outcome == "named", one.words
     assert one.table()["quadratic_rad"] == pytest.approx(TURN, rel=0.05)
+
+
+@pytest.mark.full
+def test_an_error_of_the_track_is_told_from_one_of_the_phase(tmp_path: Path) -> None:
+    """A recorded track that leaves the true one across the line of sight: no range in the middle has an error, and
+    those at the ends have 2 pi, in proportion to the sine of the angle between their look directions."""
+    slant, speed = 500.0, 100.0
+    angle = np.deg2rad(VIEW.incidence_deg)
+    far = slant + 0.5 * PIXELS * FINE_M[0]
+    widest = np.sin(np.arccos(slant * np.cos(angle) / (2.0 * slant - far)) - angle)  # the nearer end
+    error_m = TURN * WAVELENGTH / (4.0 * np.pi * abs(widest))
+    aperture_rad = width_in_cells("taylor") * WAVELENGTH / (2.0 * BLUR["azimuth_fwhm_m"])
+    half_s = 0.5 * slant * aperture_rad / speed
+    toward = np.array(
+        [0.0, np.cos(angle), -np.sin(angle)]
+    )  # as the look direction turns with range; the radar is north
+    time = np.linspace(-1.1 * half_s, 1.1 * half_s, 201)
+    rows = [",".join(f"{value:.9f}" for value in (t, *(error_m * (t / half_s) ** 2 * toward))) for t in time]
+    path = tmp_path / "error.csv"
+    path.write_text("time_s,x_m,y_m,z_m\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    more = {"slant_range_m": slant, "speed_m_s": speed, "errors": CollectionErrors(track=path)}
+    _, one = asked_of(tmp_path, lawn_with_plates(), 0.0, "phase-history", **more)
+    assert one.motion is not None
+    assert one.motion.outcome == "named", one.words
+    assert one.aside_m * one.motion.aside[0] == pytest.approx(error_m, rel=0.1), one.words
+    assert abs(one.motion.same[0]) < 0.1 * TURN
+    assert named_in([one]) == ["motion_error"]
 
 
 @pytest.mark.full
