@@ -545,8 +545,8 @@ def image_deposit_kernel(
 ):
     """Scatterers times e^{-j 2 pi turns} into WIDTH x WIDTH cells of a grid, (polarizations, rows, columns).
 
-    Rows are ranges from the track, columns azimuths. Scatterers near the grid's border are left out. Those of the
-    core are counted, into several places: one alone would be waited for.
+    Rows are ranges from the track, columns azimuths, of an even number. Scatterers near the border are left out. Those
+    of the core are counted, into several places: one alone would be waited for.
     """
     i = wp.tid()
     some = float(0.0)
@@ -585,8 +585,7 @@ def image_deposit_kernel(
         a = amplitude_in[i, column_in[p]]
         value = wp.vec2(a[0] * c - a[1] * s, a[0] * s + a[1] * c)
         for r in range(WIDTH):
-            for q in range(WIDTH):
-                wp.atomic_add(grid_out, p, row + r, column + q, down[r] * aside[q] * value)
+            add_to_bins(grid_out, p, row + r, column, aside, down[r] * value)
 
 
 @wp.kernel(enable_backward=False)

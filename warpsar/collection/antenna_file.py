@@ -86,11 +86,14 @@ def _finer(axes: list[F64], value: NDArray[np.complex128]) -> AntennaPatternTabl
     both = len(axes[1]) > 1
     given = axes if both else [axes[0], np.array([0.0, 1.0])]
     wide = value if both else np.repeat(value, 2, axis=1)
-    order = [min(3, len(axis) - 1) for axis in given]
+    cubic = [min(3, len(axis) - 1) for axis in given]
     fine = [np.linspace(axis[0], axis[-1], FINER * (len(axis) - 1) + 1) for axis in given]
     if not both:
         fine[1] = np.array([0.0])
-    parts = [RectBivariateSpline(*given, part, kx=order[0], ky=order[1])(*fine) for part in (wide.real, wide.imag)]
+    parts = [
+        RectBivariateSpline(given[0], given[1], part, kx=cubic[0], ky=cubic[1])(fine[0], fine[1])
+        for part in (wide.real, wide.imag)
+    ]
     steps = [float(axis[1] - axis[0]) if len(axis) > 1 else 0.0 for axis in fine]
     starts = [float(axis[0]) for axis in fine]
     return AntennaPatternTable(

@@ -162,10 +162,9 @@ def wide_tubes(tally: TubeTally) -> list[str]:
 
 
 def load_kernels(device: wp.Device) -> None:
-    coherent = ("tubes", "radiate", "edges", "rough", "placing")
-    devices.load_kernels(
-        device, *(f"coherent.{name}" for name in coherent), "collection", "pulse_deposit", "backproject"
-    )
+    names = [f"coherent.{name}" for name in ("tubes", "radiate", "edges", "rough", "placing")]
+    names += ["collection", "backproject", *(["pulse_deposit"] if device.is_cpu else [])]
+    devices.load_kernels(device, *names)
 
 
 def run(

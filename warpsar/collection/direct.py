@@ -246,7 +246,8 @@ class DirectImage:
     def made(self, tile: Tile, seen: Seen) -> tuple[NDArray[np.complex64], int]:
         """A tile, (polarizations, rows, columns), and how many scatterers lie in it."""
         device = self.device
-        out = wp.zeros((len(self.polarizations), *self.samples(tile)), dtype=wp.vec2, device=device)
+        rows, columns = self.samples(tile)
+        out = wp.zeros((len(self.polarizations), rows, columns + columns % 2), dtype=wp.vec2, device=device)
         counts = wp.zeros(_COUNTERS, dtype=int, device=device)
         frame = self.frame(tile)
         for one in seen(frame, *self.reach(tile)):

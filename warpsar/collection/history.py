@@ -340,8 +340,10 @@ def _weights_table() -> NDArray[np.float32]:
 def _block(plan: Plan, track: Any, parts: list[PartOnDevice], polarizations: int, some: slice) -> Any:
     """Spectra of some pulses, (polarizations, pulses, frequencies)."""
     found = np.ascontiguousarray(deposited(plan, track, parts, polarizations, some).numpy())
-    profiles = _gone_round(found, bins_of(plan)) if track.time.device.is_cpu else found.view(np.complex64)[..., 0]
-    return undeposited(fft.fft(profiles, axis=-1), plan.frequencies).astype(np.complex64)
+    on_cpu = track.time.device.is_cpu  # where blocks have a thread each
+    profiles = _gone_round(found, bins_of(plan)) if on_cpu else found.view(np.complex64)[..., 0]
+    spectra = fft.fft(profiles, axis=-1, workers=1 if on_cpu else threads.thread_count(), overwrite_x=True)
+    return undeposited(spectra, plan.frequencies).astype(np.complex64)
 
 
 def _gone_round(rows: NDArray[np.float32], bins: int) -> NDArray[np.complex64]:

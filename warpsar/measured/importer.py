@@ -121,12 +121,12 @@ def import_measured(
     gridded = on_grid(measured, scene, view, how)
     power, per_pixel = gridded.power, gridded.samples
     messages += gridded.messages + rounding(measured)
-    blur, told = None, []
+    blur = None
     if isinstance(measured, ImageChip):
         blur, told = point_spread(measured, scene, view, per_pixel)
+        messages += told
     elif gridded.slc is not None:
         blur = of_focus(measured, (window_range, window_azimuth), scene, per_pixel)
-    messages += told
     looks = equivalent_looks(power)
     if looks is None:
         messages.append("too little homogeneous ground to estimate looks from; none written")

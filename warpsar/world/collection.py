@@ -223,8 +223,8 @@ class Collection(Table):
     def files(self) -> dict[str, Path]:
         """The files that the table names, by their keys."""
         inner = {
-            "antenna.pattern": self.antenna and self.antenna.pattern,
-            "errors.track": self.errors and self.errors.track,
+            "antenna.pattern": None if self.antenna is None else self.antenna.pattern,
+            "errors.track": None if self.errors is None else self.errors.track,
         }
         return {key: path for key, path in {"trajectory": self.trajectory, **inner}.items() if path is not None}
 

@@ -171,7 +171,10 @@ def asked_of_motion(folds: Sequence[AzimuthSpectrum], seed: int = 0) -> MotionFo
     Judged as in `asked`. The rival has as many numbers, and the ranges of its rows in the order of another block.
     """
     if min(map(len, folds)) < FEWEST_ROWS or not any(one.aside.any() for one in folds):
-        return MotionFound("not testable", "look directions of the rows are not known, or the same; slant_range_m of the view says them")
+        return MotionFound(
+            "not testable",
+            "look directions of the rows are not known, or the same; slant_range_m of the view says them",
+        )
     flat, moved = _searched(folds, POLYNOMIAL), _searched(folds, MOTION)
     random = np.random.default_rng([seed, 6])
     draws, gains = [], []
