@@ -10,7 +10,6 @@ import worlds
 from effect_worlds import street, with_effect
 from worlds import join, mesh_of, plate, scene_of, view
 
-from warpsar.collection.response import width_in_cells
 from warpsar.effects.bounces import cells, tracing
 from warpsar.kernels.effects import multibounce, multibounce_ends
 from warpsar.runtime.structs import fill
@@ -19,7 +18,7 @@ from warpsar.simulation.command import Simulation, simulate
 from warpsar.surface.stage import Stage
 from warpsar.trace.hits import BinGrid
 from warpsar.world.mesh import Mesh
-from warpsar.world.taper import taper
+from warpsar.world.taper import taper, width_in_cells
 
 LIGHT = 299792458.0
 METAL = {"eps_r": (1e6, -1e6), "rms_height_m": 1e-6, "correlation_length_m": 0.1}

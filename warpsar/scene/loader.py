@@ -177,12 +177,11 @@ class _Loader:
             if name not in labels:
                 known = ", ".join(labels) or "none"
                 self.problems.append(f"collection.velocity_m_s: found {name!r}; must name one of [[objects]] ({known})")
-        if table.trajectory is None:
-            return table
-        path = self.absolute(table.trajectory)
-        if not path.is_file():
-            self.problems.append(f"collection.trajectory: found {path}; there is no such file")
-        return table.model_copy(update={"trajectory": path})
+        table = table.with_files(self.absolute)
+        for key, path in table.files.items():
+            if not path.is_file():
+                self.problems.append(f"collection.{key}: found {path}; there is no such file")
+        return table
 
     def curve(self, index: int, curve: Curve, of_scene: Mesh | None) -> Curve:
         """The curve with its file's place; what does not fit the file or the radar is a problem."""

@@ -29,8 +29,8 @@ def phase_section(found: Sequence[PhaseAsked]) -> list[str]:
 
 def phase_sentence(found: Sequence[PhaseAsked]) -> str:
     """For the head of the page; empty where nothing was named."""
-    named = [one.view for one in found if one.named]
-    return f"The phase over slow time is wrong in {', '.join(named)} (phase_error). " if named else ""
+    named = [f"{one.view} ({'motion_error' if one.moved else 'phase_error'})" for one in found if one.named]
+    return f"The phase over slow time is wrong in {', '.join(named)}. " if named else ""
 
 
 def _figure(named: Sequence[PhaseAsked]) -> Figure:
