@@ -213,9 +213,7 @@ def _splits(
         budget = max(budget - more, 0)
         np.maximum(split, parts, out=split)
     inner = split[1:-1, 1:-1]
-    left = [
-        (one.error * split[place].astype(float) ** -1.5)[one.bright] for one, place in zip(found, at, strict=True)
-    ]
+    left = [(one.error * split[place].astype(float) ** -1.5)[one.bright] for one, place in zip(found, at, strict=True)]
     of_bands = {
         at: inner[band.first_cell - rays.first_cell : band.end_cell - rays.first_cell] for at, band in enumerate(bands)
     }
