@@ -78,7 +78,7 @@ def beside() -> str:
 
 
 def under_snow(soil: str, frequency_hz: float) -> Channels:
-    """sigma0 [dB] of a soil below dry snow, without the snow's own: a wave enters, is bent and shorter there, comes back.
+    """sigma0 [dB] of a soil below dry snow, without the snow's own: a wave enters, is bent, and comes back.
 
     The snow loses nothing. The flux that reaches the soil is T cos(incidence) / cos(that in the snow) times the one
     above, T the power that passes the snow's surface. On the way back T comes once more, and a solid angle grows by

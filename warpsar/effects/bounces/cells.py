@@ -370,7 +370,7 @@ def _falls(
     share, own = squares / total[owner], np.real(part * whole.conj()[owner]) / power[owner]
     one_phase = np.minimum(_ONE_PHASE * power / total * np.add.reduceat(share**2, head), 1.0)
     rest = 1.0 - one_phase
-    key, even = of_path[owner] * across + bin_, share * (one_phase * power)[owner]
+    even = share * (one_phase * power)[owner]
     ends = [(of_path * across, rest * power)]
     for at, stride in zip(np.divmod(bin_, columns), (columns, 1), strict=True):
         of_parts, of_sum = (np.add.reduceat(weight * at, head) for weight in (share, own))
@@ -383,9 +383,10 @@ def _falls(
             for key, of_it in ends
             for step, each in ((0, 1.0 - beyond), (1, beyond))
         ]
-    key, share = (np.concatenate(each) for each in zip((key, even), *ends, strict=True))
-    keys, inverse = np.unique(key[share > 0.0], return_inverse=True)
-    share = np.bincount(inverse, share[share > 0.0])
+    keys = np.concatenate([of_path[owner] * across + bin_, *(key for key, _ in ends)])
+    falls = np.concatenate([even, *(of_it for _, of_it in ends)])
+    keys, inverse = np.unique(keys[falls > 0.0], return_inverse=True)
+    share = np.bincount(inverse, falls[falls > 0.0])
     owner, bin_ = np.divmod(keys, across)
     count = int(of_path.max(initial=-1)) + 1
     for _ in range(2):  # the small ones go, and the others take their place

@@ -74,7 +74,8 @@ class Assembly:
 
     def faces_of(self, objects: Sequence[Object]) -> dict[str, NDArray[np.integer]]:
         """Which faces of `mesh` are an object's, by its label."""
-        found, start = {}, 0 if self.base is None else len(self.base.faces)
+        found: dict[str, NDArray[np.integer]] = {}
+        start = 0 if self.base is None else len(self.base.faces)
         for one in objects:
             if one.group is not None:
                 found[one.label] = np.asarray(_group_faces(self.base, one.group, "objects"))
