@@ -386,7 +386,7 @@ def _falls(
     keys = np.concatenate([of_path[owner] * across + bin_, *(key for key, _ in ends)])
     falls = np.concatenate([even, *(of_it for _, of_it in ends)])
     keys, inverse = np.unique(keys[falls > 0.0], return_inverse=True)
-    share = np.bincount(inverse, falls[falls > 0.0])
+    share = np.bincount(inverse, falls[falls > 0.0]).astype(float)
     owner, bin_ = np.divmod(keys, across)
     count = int(of_path.max(initial=-1)) + 1
     for _ in range(2):  # the small ones go, and the others take their place
