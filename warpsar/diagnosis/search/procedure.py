@@ -20,7 +20,6 @@ from warpsar.diagnosis.models.refit import fit_model, refit_as
 from warpsar.diagnosis.search.forecast import forecast
 from warpsar.diagnosis.search.loop import Search
 from warpsar.diagnosis.search.record import SearchRecord
-from warpsar.effects.registry import get, names, refused_with, validate
 from warpsar.errors import InputError
 from warpsar.runtime import console, once
 from warpsar.scene.scene import Scene
@@ -46,7 +45,7 @@ def diagnose_scene(
         raise InputError("--time-limit: found several processes; allowed with one, whose clock alone decides")
     stage, views, looks = once.agree(lambda: _training(scene, device))
     seeds = 2 * scene.sampling.seed, 2 * scene.sampling.seed + 1
-    density = choose_density(_with_bounces(scene), stage, views, looks, MU_NOISE, total=True, shared=True, kept=seeds)
+    density = choose_density(scene, stage, views, looks, MU_NOISE, total=True, shared=True, kept=seeds)
     console.say(
         f"rays: {density.rays_per_pixel:g} per pixel; looks x pixels x relative sampling variance "
         f"{density.noise:.2g} (wanted: under {MU_NOISE:g})"
@@ -95,18 +94,6 @@ def diagnose_scene(
         not_asked=search.not_asked,
         on_trial=search.on_trial,
     )
-
-
-def _with_bounces(scene: Scene) -> Scene:
-    """The scene with the paths that the search may add to it, at full strength: corners need more rays than surfaces.
-
-    With too few the bounces of a scene that has them are some decibels off at single pixels, and another effect would
-    be named that makes up for it.
-    """
-    refused = {name for material in scene.materials.values() for name in refused_with(material.model)}
-    further = [n for n in names() if get(n).follows_rays and n not in refused and n not in scene.effects]
-    tables = {name: validate(name, get(name).example, f"effects.{name}") for name in further}
-    return replace(scene, effects={**scene.effects, **tables})
 
 
 def with_looks(setup: FitSetup, scene: Scene) -> FitSetup:
