@@ -106,7 +106,7 @@ def test_what_scatters_a_bounce_belongs_to_places() -> None:
 @pytest.mark.full
 def test_the_ends_of_a_corner_off_its_flash() -> None:
     """A dihedral of 2.4 m, 5 degrees off its flash: both engines have its two ends, with one total. Complex images have
-    them at the foot's ends, to a pixel of 1/16 m; images of power up to half a cell of 0.5 m farther in."""
+    them at the foot's ends, to a pixel of 1/16 m; images of power to 0.1 m, where a cell is 0.5 m."""
     wall, floor = plate((-1.2, -1.0, 0.0), (2.4, 0.0, 0.0), (0.0, 0.0, 2.0)), plate((-4, -1, 0), (8, 0, 0), (0, 6, 0))
     mesh = mesh_of(metal=wall, floor=floor)
     made = scene(mesh, {"metal": METAL, "floor": METAL}, 5.0, frequency_hz=5.2e9, polarizations=("VV",))
@@ -128,4 +128,4 @@ def test_the_ends_of_a_corner_off_its_flash() -> None:
     print("farther in [m]:", np.round(inward, 2).tolist())
     assert 10.0 * np.log10(totals[0] / totals[1]) == pytest.approx(0.0, abs=0.3)
     assert inward[0] == pytest.approx([0.0, 0.0], abs=0.1)
-    assert inward[1] == pytest.approx([0.15, 0.15], abs=0.1)
+    assert inward[1] == pytest.approx([0.0, 0.0], abs=0.1)

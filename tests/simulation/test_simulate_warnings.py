@@ -14,11 +14,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 from click.testing import CliRunner
 from test_cli_simulate import MESH, SCENE, warpsar
 from worlds import ground, mesh_of, scene_of, view
 
 from warpsar.cli.main import main
+from warpsar.effects.registry import validate
 from warpsar.errors import InputError
 from warpsar.runtime import busy as busy_module
 from warpsar.runtime import devices
@@ -31,6 +33,7 @@ from warpsar.simulation.command import Simulation, simulate
 from warpsar.simulation.outputs import refuse_unlikely_size
 from warpsar.surface.stage import Stage
 
+WALL = {"eps_r": 6.0, "rms_height_m": 0.001, "correlation_length_m": 0.01}
 OPTICS = {"eps_r": 6.0, "rms_height_m": 0.02, "correlation_length_m": 0.2, "specular_fraction": 1.0}
 
 
@@ -45,6 +48,25 @@ def found(**material: Any) -> list[str]:
     made = Simulation(scene, stage_of(scene))
     made.view(scene.views[0], 0)
     return made.findings.warnings(scene)
+
+
+@pytest.mark.parametrize(("roof", "turned", "said"), [(True, 1, None), (True, -1, "6 of 12"), (False, 1, "6 of 10")])
+def test_a_body_that_is_open_or_inside_out(roof: bool, turned: int, said: str | None) -> None:
+    """Two walls and the roof are seen of a block. Without the roof the inside of the other two walls is seen, and
+    a part of the floor."""
+    block = trimesh.creation.box((4.0, 4.0, 4.0)).apply_translation((0.0, 0.0, 2.0))
+    faces = block.faces[(block.triangles_center[:, 2] < 3.9) | roof]
+    made = scene_of(
+        mesh_of(soil=ground(30), block=(block.vertices, faces[:, ::turned])),
+        view(20, 30),
+        rays_per_pixel=4.0,
+        materials=dict.fromkeys(("soil", "block"), WALL),
+    )
+    made = replace(made, effects={"multibounce": validate("multibounce", {"strength": 1.0}, "effects")})
+    simulation = Simulation(made, stage_of(made))
+    simulation.view(made.views[0], 0)
+    found = [one for one in simulation.findings.warnings(made) if "look away" in one]
+    assert [one.split(" faces")[0] for one in found] == ([] if said is None else [f"materials.block: {said}"])
 
 
 def test_a_surface_outside_its_models_domain() -> None:

@@ -116,7 +116,7 @@ def trace_paths(render: Recorder, max_bounces: int, cell_m: tuple[float, float] 
     if cell_m is not None:
         shared = _shared(traced_bands, max_bounces, grid, cell_m)
         kinds, planes = _kinds(render)
-        splits, error = _splits(shared, planes, rays, bands)
+        splits, error = _splits(shared, planes, area, rays, bands)
         if splits:
             again = [partial(_band, render, rays, max_bounces, cells, bands[at], split) for at, split in splits.items()]
             finer = dict(zip(splits, threads.ordered(again, target.device), strict=True))
@@ -136,7 +136,7 @@ def trace_paths(render: Recorder, max_bounces: int, cell_m: tuple[float, float] 
         }
         traced = BouncesOfOneNumber(_paths(fill(kernels.PathRecords, **arrays), index + 2, rays, target))
         if (fields := shared[index]) is not None:
-            made, samples = samples_of(fields, kinds, area, target.device)
+            made, samples = samples_of(fields, kinds, grid.shape[1], area, target.device)
             own: dict[str, Any] = {
                 name: wp.array(made[name], dtype=dtype, device=target.device) for name, dtype in _ARRAYS.items()
             }
@@ -188,26 +188,32 @@ def _remarks(traced: Sequence[_Traced], max_bounces: int, error: float) -> list[
 
 
 def _splits(
-    shared: Sequence[SharedFields | None], planes: NDArray[np.int64], rays: RayGrid, bands: Sequence[Any]
+    shared: Sequence[SharedFields | None], planes: NDArray[np.int64], area: float, rays: RayGrid, bands: Sequence[Any]
 ) -> tuple[dict[int, NDArray[np.uint8]], float]:
     """The bands that have cells to cut, each with the parts of its cells' sides (`kernels.path_kernel`).
 
-    All cuts together send at most as many rays again. And the largest relative error of a bright sample's power that
-    is left.
+    All cuts together send at most as many rays again: the view's brightest samples come first. And the largest
+    relative error of the power of one of these that is left.
     """
-    found = [borders_of(fields, planes) for fields in shared if fields is not None]
+    found = [borders_of(fields, planes, area) for fields in shared if fields is not None]
     if not any(len(one.cell) for one in found):
         return {}, 0.0
-    split = np.ones((rays.end_cell - rays.first_cell + 2, rays.elevation_cells + 2), np.uint8)
+    size = rays.end_cell - rays.first_cell + 2, rays.elevation_cells + 2
     at = [(one.cell[:, 0] - rays.first_cell + 1, one.cell[:, 1] + 1) for one in found]
-    for one, place in zip(found, at, strict=True):
-        np.maximum.at(split, place, one.split.astype(np.uint8))
+    budget = max((size[0] - 2) * (size[1] - 2), _LEAST_BUDGET)
+    split = np.ones(size, np.uint8)
+    for first in (True, False):
+        parts = np.ones(size, np.uint8)
+        for one, (row, column) in zip(found, at, strict=True):
+            mine = one.bright == first
+            np.maximum.at(parts, (row[mine], column[mine]), one.split[mine].astype(np.uint8))
+        more = int((parts[1:-1, 1:-1].astype(np.int64) ** 2 - 1).sum())
+        if more > budget:
+            parts = np.floor(np.maximum(parts * np.sqrt(budget / more), 1.0)).astype(np.uint8)
+        budget = max(budget - more, 0)
+        np.maximum(split, parts, out=split)
     inner = split[1:-1, 1:-1]
-    budget = max(inner.size, _LEAST_BUDGET)
-    more = int((inner.astype(np.int64) ** 2 - 1).sum())
-    if more > budget:
-        np.floor(np.maximum(inner * np.sqrt(budget / more), 1.0), out=inner, casting="unsafe")
-    left = [one.error * split[place].astype(float) ** -1.5 for one, place in zip(found, at, strict=True)]
+    left = [(one.error * split[place].astype(float) ** -1.5)[one.bright] for one, place in zip(found, at, strict=True)]
     of_bands = {
         at: inner[band.first_cell - rays.first_cell : band.end_cell - rays.first_cell] for at, band in enumerate(bands)
     }
