@@ -79,7 +79,9 @@ def test_polarizations_of_a_view_are_not_summed() -> None:
     """They may share their speckle: two that are equal are as surprising as one."""
     images = images_of(ripple_db(0.3, 14.0, ROWS), views=1)
     twice = [images[0], replace(images[0], seen=replace(images[0].seen, polarization="VV"))]
-    one, both = (Profiles(some, WHITE).strongest([i.residual[i.usable] for i in some], 1e-9) for some in (images, twice))
+    one, both = (
+        Profiles(some, WHITE).strongest([i.residual[i.usable] for i in some], 1e-9) for some in (images, twice)
+    )
     assert both.surprise == pytest.approx(one.surprise)
 
 

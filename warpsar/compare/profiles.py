@@ -90,9 +90,7 @@ class Profiles:
     def strongest(self, residuals: Sequence[np.ndarray], granted: float) -> AxisProfile:
         """The most surprising profile of one residual, an array (pixels,) of each image. `granted`: relative power that
         every line may be off by."""
-        both = [
-            np.column_stack([one, granted * free]) for one, free in zip(residuals, self._relative, strict=True)
-        ]
+        both = [np.column_stack([one, granted * free]) for one, free in zip(residuals, self._relative, strict=True)]
         best = AxisProfile(self.images[0].name, AXES[0], 0.0, 0.0)
         for (group, axis), sums, lines in self._each(both):
             off, allowed = np.abs(sums.weights @ lines[:, 0]), np.abs(sums.weights) @ lines[:, 1]

@@ -61,8 +61,9 @@ class PosedProblem:
         rough: bool = False,
     ) -> None:
         """`held`: nothing moves but the poses. `level` [beta0]: how much of the floor was added to the measurement.
-        `bound` is that of the loss, as in `FitProblem`. `rough`: changes by poses are those of single bounces alone,
-        which is enough to tell which pose is worth a fit. Paths over several surfaces would be traced for each.
+        `bound` is that of the loss, as in `FitProblem`. `rough`: changes by poses are forward differences of
+        single bounces alone, which is enough to tell which pose is worth a fit. Paths over several surfaces would be
+        traced for each.
 
         `standing`: labels of objects whose foot stays at its height, known to `STANDS_M`. Their height and that of the
         foot would trade otherwise: a body sunk into the ground looks like a lower one.
@@ -179,11 +180,19 @@ class PosedProblem:
         return self._changes is not None and np.array_equal(x, self._changes[0])
 
     def _changed(self, problem: FitProblem, view: FitView, rest: np.ndarray, p: np.ndarray) -> list[np.ndarray]:
-        """d(mu) / dp of a view's observations, shape (pixels, len(p)) each."""
+        """d(mu) / dp of a view's observations, shape (pixels, len(p)) each: central differences, and forward ones where
+        a `rough` answer will do, of half as many images."""
         seen_as = without_paths(problem.scene) if self.rough else problem.scene
         places = boxes(seen_as, view.view)
         coordinates, name = self.geometry.coordinates, view.view.name
         found = [np.zeros((seen.values.size, p.size)) for seen in view.observations]
+        standing: dict[
+            tuple[int, int] | None, list[np.ndarray]
+        ] = {}  # images as they are, by the columns that are made
+
+        def there(step: np.ndarray, columns: tuple[int, int] | None) -> list[np.ndarray]:
+            return images_elsewhere(problem, view, rest, self.geometry.at(p + step), columns, paths=not self.rough)
+
         for group in shared(coordinates, places):
             if not any(coordinates[k].changes(name) for k in group):
                 continue
@@ -191,16 +200,19 @@ class PosedProblem:
             step[group] = POSE_STEP_M
             bodies = {coordinates[k].body for k in group}
             columns = None if places is None or None in bodies else columns_of([places[one] for one in bodies if one])
-            above, below = (
-                images_elsewhere(problem, view, rest, self.geometry.at(p + s * step), columns, paths=not self.rough)
-                for s in (1.0, -1.0)
-            )
+            above = there(step, columns)
+            if not self.rough:
+                below, apart = there(-step, columns), 2.0 * POSE_STEP_M
+            else:
+                if columns not in standing:
+                    standing[columns] = there(np.zeros(p.size), columns)
+                below, apart = standing[columns], POSE_STEP_M
             for into, seen, a, b in zip(found, view.observations, above, below, strict=True):
                 row, column = np.divmod(seen.pixels, problem.scene.grid.shape[1])
                 for k in group:
                     body = coordinates[k].body
                     inside = True if places is None or body is None else places[body].holds(row, column)
-                    into[:, k] = np.where(inside, (a - b) / (2.0 * POSE_STEP_M), 0.0)
+                    into[:, k] = np.where(inside, (a - b) / apart, 0.0)
         return found
 
     def identified(self, x: np.ndarray) -> Identified:

@@ -7,10 +7,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from warpsar.diagnosis.dark.evidence import Dark, worth_a_refit
 from warpsar.diagnosis.found import Candidate, DiagnoseOptions, EffectRival, Turn
 from warpsar.diagnosis.models.all_pixels import lit_shadows
-from warpsar.diagnosis.models.change import changes, is_geometry
+from warpsar.diagnosis.models.change import NUMBERS, POSE, SIZE, changes, is_geometry
 from warpsar.diagnosis.models.effect_gain import EffectGain
 from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.judge import Judge
@@ -18,6 +20,7 @@ from warpsar.diagnosis.models.names import object_of
 from warpsar.diagnosis.models.refit import Fitted, narrow, on_bounded_ground, refit_as, settle
 from warpsar.diagnosis.models.sensor import found_sensor, is_sensor
 from warpsar.diagnosis.scores.evidence import Evidence
+from warpsar.diagnosis.scores.score import minus_log_p
 from warpsar.diagnosis.scores.templates import Template
 from warpsar.diagnosis.search.confirmation import Confirmation, confirm
 from warpsar.diagnosis.search.last_resort import learned_law
@@ -233,10 +236,12 @@ class Search:
             price = evidence.price()
             # geometry puts no power where nothing is lit: what the dark pixels need is added first
             geometry = options.bodies and not dark.asks
-            quiet = geometry and not (passing or turn.alarms or once.decide(float(self._displaced(here))))
-            geometry = geometry and not (quiet and not self._has_moved)
-            sensor = screened_sensor(self.scene, setup, here) if geometry and not quiet else []
-            bodies = screened_bodies(self.scene, setup, here) if geometry and not quiet else []
+            alarm = bool(passing or turn.alarms) or bool(once.decide(float(geometry and self._displaced(here))))
+            sensor = screened_sensor(self.scene, setup, here) if geometry else []
+            # a body that is not there leaves a shadow that measures power, and edges: no quiet scene has one
+            bodies = screened_bodies(self.scene, setup, here, absent=alarm) if geometry else []
+            if not alarm and not _promising(sensor, bodies, evidence.area, turn.threshold):
+                sensor, bodies, geometry = [], [], geometry and self._has_moved
             foretold = max([0.0, *(one.foretold for one in sensor), *(one.most for one in bodies)])
             if 2.0 * foretold > FAR_AHEAD * max((c.statistic for c in allowed), default=0.0):
                 # beside what moves things, the likeliest effects alone: a score is no gain, and may be far below it
@@ -374,6 +379,16 @@ def needed(without: Fitted, name: str) -> bool:
     """Whether the dark pixels ask a model without an effect for it."""
     dark = Dark.of(without)
     return dark.asks and dark.answered_by(name)
+
+
+def _promising(sensor: Sequence[Hypothesis], bodies: Sequence[Screened], area: float, threshold: float) -> bool:
+    """Whether what any change of geometry is foretold to gain is more than speckle of a correlation `area` would have
+    it: over the `threshold` of -ln p, for all that are asked (Wilks, Bonferroni). Blurred images are the less
+    sensitive to speckle, so that this is hardly ever so by chance."""
+    asked = [(one.foretold, len(one.parameters)) for one in sensor]
+    asked += [pair for one in bodies for pair in ((one.moved, NUMBERS[POSE]), (one.resized, NUMBERS[SIZE]))]
+    scores = [float(minus_log_p(np.array(2.0 * max(gain, 0.0) / area), size, 0)) for gain, size in asked]
+    return max(scores, default=0.0) - np.log(max(len(asked), 1)) > threshold
 
 
 def _say(turn: Turn, number: int, passing: Sequence[Candidate]) -> None:

@@ -64,9 +64,9 @@ class Screened:
         return max(self.moved, self.resized, self.absent)
 
 
-def screened_bodies(declared: Scene, setup: FitSetup, here: Fitted) -> list[Screened]:
+def screened_bodies(declared: Scene, setup: FitSetup, here: Fitted, *, absent: bool = True) -> list[Screened]:
     """`screening` of all bodies, as the first process finds it."""
-    return once.find(lambda: screening(declared, Exact.of(setup, here), here))
+    return once.find(lambda: screening(declared, Exact.of(setup, here), here, absent=absent))
 
 
 def geometry_candidates(
@@ -129,8 +129,9 @@ def worth_fits(screened: Sequence[Screened], price: float, effect_gain: EffectGa
     return [*found, (ABSENT, absent.label)] if absent is not None and absent.absent > least else found
 
 
-def screening(declared: Scene, exact: Exact, here: Fitted) -> list[Screened]:
-    """Every body of the scene, with what its move and its absence would gain at a blur of 3 m."""
+def screening(declared: Scene, exact: Exact, here: Fitted, *, absent: bool = True) -> list[Screened]:
+    """Every body of the scene, with what its move and, where that is asked, its being `absent` would gain at a blur of
+    3 m."""
     blur_m = SEARCH_BLUR_M[0]
     found = []
     for labels in disjoint(bodies(declared, here.scene), TOGETHER):
@@ -139,8 +140,8 @@ def screening(declared: Scene, exact: Exact, here: Fitted) -> list[Screened]:
         loss = problem.value(problem.x0)
         foretold = _foretold(problem)
         for label in labels:
-            absent = loss - _without(declared, exact, here, label, blur_m)
-            found.append(Screened(label, *foretold[label], absent))
+            gone = loss - _without(declared, exact, here, label, blur_m) if absent else 0.0
+            found.append(Screened(label, *foretold[label], gone))
     return found
 
 
