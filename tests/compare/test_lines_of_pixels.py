@@ -1,4 +1,4 @@
-"""Rows and columns that vary otherwise than the model: ripples, lines, seams, and how often speckle alone is taken for one."""
+"""Rows and columns that vary otherwise than the model: ripples, lines, seams; and how often speckle alone does."""
 
 from dataclasses import replace
 
