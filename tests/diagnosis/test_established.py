@@ -26,7 +26,8 @@ MOVING = {"object_pose house", "object_size shed", "registration"}
 
 def doubted(findings: list[str], on_trial: list[str] | None = None) -> dict[str, str]:
     """Of a model with all of `HELD`, whose floor and shift alone are confirmed by their own tests."""
-    found: Any = SimpleNamespace(held=HELD, on_trial=on_trial or [], signed={"noise_floor", "registration"}.__contains__)
+    signed = {"noise_floor", "registration"}.__contains__
+    found: Any = SimpleNamespace(held=HELD, on_trial=on_trial or [], signed=signed)
     verdicts: Any = {"train": SimpleNamespace(findings=[]), "test": SimpleNamespace(findings=findings)}
     return not_established(cast(Diagnosis, found), cast(dict[str, Judgement], verdicts))
 

@@ -23,8 +23,8 @@ def not_established(found: Diagnosis, verdicts: Mapping[str, Judgement]) -> dict
     """Names of the final model that are not earned, with their objects, and why, in words.
 
     What the time left on trial is none. Beside edges that do not agree, nothing that moves edges is, be it a body, an
-    angle or a shift of images, nor an effect whose own test does not confirm it. Beside structure, such effects and angles and spacings of the sensor are not:
-    a body lies at one place, and what is left may lie at another.
+    angle or a shift of images, nor an effect whose own test does not confirm it. Beside structure, such effects and
+    angles and spacings of the sensor are not: a body lies at one place, and what is left may lie at another.
     """
     left = {one for verdict in verdicts.values() for one in verdict.findings}
     why = {}
