@@ -209,7 +209,7 @@ def test_rough_changes_are_those_of_single_bounces() -> None:
     without = FitProblem(plain, CPU, rays=ExactRays(Stage.of(plain, CPU)))
     pixels = {one.view.name: list(one.observations) for one in without.views}
     rough = PosedProblem(bounced, CPU, pixels, held=True, rough=True)
-    single = PosedProblem(plain, CPU, pixels, held=True)
+    single = PosedProblem(plain, CPU, pixels, held=True, forward=True)
     (changed,), (expected,) = rough.jacobian(rough.x0), single.jacobian(single.x0)
     (more,), (less,) = (one.modelled(one.x0) for one in (rough, single))
     assert (more > 1.5 * less).any()

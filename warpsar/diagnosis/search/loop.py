@@ -45,7 +45,8 @@ from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import Rays
 
 FAR_AHEAD = 3.0  # times the largest score of an effect (2 ln L): geometry that gains more has few rivals fitted
-NEAR_BEST = 0.5  # of the best score (-ln p), from which on an effect is one of those few
+NEAR_BEST = 0.5  # of the best score (-ln p), or of what is foretold, from which on an effect is one of those few
+FAR_BELOW = 0.04  # of what geometry is foretold to gain: an effect that scores less (2 ln L) is none of them
 SENSOR_BEHIND = 0.5  # of what the best body is foretold: angles and spacings below it are not fitted
 CHANCES = 2  # how often one effect may be added: what is taken back may hold once something else was found
 
@@ -237,16 +238,14 @@ class Search:
             # geometry puts no power where nothing is lit: what the dark pixels need is added first
             geometry = options.bodies and not dark.asks
             alarm = bool(passing or turn.alarms) or bool(once.decide(float(geometry and self._displaced(here))))
-            sensor = screened_sensor(self.scene, setup, here) if geometry else []
+            sensor, shifts = screened_sensor(self.scene, setup, here) if geometry else ([], 0.0)
             # a body that is not there leaves a shadow that measures power, and edges: no quiet scene has one
             bodies = screened_bodies(self.scene, setup, here, absent=alarm) if geometry else []
             if not alarm and not _promising(sensor, bodies, evidence.area, turn.threshold):
                 sensor, bodies, geometry = [], [], geometry and self._has_moved
             foretold = max([0.0, *(one.foretold for one in sensor), *(one.most for one in bodies)])
             if 2.0 * foretold > FAR_AHEAD * max((c.statistic for c in allowed), default=0.0):
-                # beside what moves things, the likeliest effects alone: a score is no gain, and may be far below it
-                near = NEAR_BEST * max((c.minus_log_p for c in allowed), default=0.0)
-                allowed = [c for c in allowed if c.minus_log_p >= near or get(c.effect).sets_positions]
+                allowed = _beside_geometry(allowed, foretold, shifts)
             for some in [allowed] if dark.asks else by_rank(allowed):
                 if turn.added is None:
                     found = refits(setup, here, self.scene, some, templates, dark, options.refits)
@@ -379,6 +378,20 @@ def needed(without: Fitted, name: str) -> bool:
     """Whether the dark pixels ask a model without an effect for it."""
     dark = Dark.of(without)
     return dark.asks and dark.answered_by(name)
+
+
+def _beside_geometry(allowed: Sequence[Candidate], foretold: float, shifts: float) -> list[Candidate]:
+    """The effects that are fitted in a turn in which a change of geometry is `foretold` far more: the likeliest ones,
+    as a score is no gain and may be far below it, and those that shift images, if `shifts` may gain as much."""
+    near = NEAR_BEST * max((c.minus_log_p for c in allowed), default=0.0)
+    found = []
+    for candidate in allowed:
+        if get(candidate.effect).stage == "position":
+            worth = shifts >= NEAR_BEST * foretold
+        else:
+            worth = candidate.minus_log_p >= near and candidate.statistic >= FAR_BELOW * 2.0 * foretold
+        found += [candidate] if worth else []
+    return found
 
 
 def _promising(sensor: Sequence[Hypothesis], bodies: Sequence[Screened], area: float, threshold: float) -> bool:
