@@ -75,7 +75,13 @@ class Profiles:
             np.where(image.even, image.simulated / image.sd, 0.0)[image.usable].astype(float) for image in images
         ]
         self._asked = [
-            (group, axis, _sums_of(sum(self._lines[k][axis].sum(axis=1) for k in group), autocovariance.sum(1 - axis)))
+            (
+                group,
+                axis,
+                _sums_of(
+                    np.sum([self._lines[k][axis].sum(axis=1) for k in group], axis=0), autocovariance.sum(1 - axis)
+                ),
+            )
             for group in [*([k] for k in range(len(images))), *together]
             for axis in (0, 1)
         ]

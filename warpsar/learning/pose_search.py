@@ -162,8 +162,17 @@ def find_poses(
     its height, where their own is learned. Raises InputError where nothing of the geometry is to be learned, and for
     views without images.
     """
-    how = {"views": views, "observations": observations, "loss": loss, "held": held, "standing": standing}
-    return search_poses(scene, device, blurs_m=SEARCH_BLUR_M if search else (), **how).finish()
+    begun = search_poses(
+        scene,
+        device,
+        views=views,
+        observations=observations,
+        loss=loss,
+        blurs_m=SEARCH_BLUR_M if search else (),
+        held=held,
+        standing=standing,
+    )
+    return begun.finish()
 
 
 def search_poses(
