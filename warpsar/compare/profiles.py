@@ -74,17 +74,11 @@ class Profiles:
         self._relative = [
             np.where(image.even, image.simulated / image.sd, 0.0)[image.usable].astype(float) for image in images
         ]
-        self._asked = [
-            (
-                group,
-                axis,
-                _sums_of(
-                    np.sum([self._lines[k][axis].sum(axis=1) for k in group], axis=0), autocovariance.sum(1 - axis)
-                ),
-            )
-            for group in [*([k] for k in range(len(images))), *together]
-            for axis in (0, 1)
-        ]
+        self._asked = []
+        for group in [*([k] for k in range(len(images))), *together]:
+            for axis in (0, 1):
+                counts = np.sum([self._lines[k][axis].sum(axis=1) for k in group], axis=0)
+                self._asked.append((group, axis, _sums_of(counts, autocovariance.sum(axis=1 - axis))))
 
     def largest(self, residuals: Sequence[np.ndarray]) -> np.ndarray:
         """The largest surprise of each draw, shape (draws,); `residuals`: (pixels, draws) of each image."""

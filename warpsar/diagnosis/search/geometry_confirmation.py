@@ -67,7 +67,7 @@ def views_left_out(
     exact = Exact.of(setup, fitted)
     lacking, end = exact.settled(still(without.scene), flat=ENOUGH)
     free, own = _freed(declared, fitted.scene, name), own_material(declared, fitted.scene, object_of(name))
-    all_views = exact.problem(free)  # which begin where all views have the object
+    all_views: PosedProblem | None = None
     seen, gains = [], []
     for view in names:
         scene = still(fitted.scene)
@@ -80,6 +80,7 @@ def views_left_out(
             continue
         if next(freed(free), None) is not None:
             others = exact.problem(free, [each for each in names if each != view])
+            all_views = all_views or exact.problem(free)
             others.begin_with(all_views)
             known = descend(others, others.x0, most=MOST_STEPS, flat=ENOUGH, near=True)
             there = others.geometry.at(known.x[others.size :])
