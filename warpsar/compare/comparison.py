@@ -248,7 +248,7 @@ def compare(
 def beside(scene: Scene, view: View, polarization: str, model: Modelled) -> Comparison:
     """The view's measured image of a polarization beside its model.
 
-    Raises InputError where no pixel is lit by the model, unmasked and positive at once.
+    Raises NothingLitError where no pixel is lit by the model, unmasked and positive at once.
     """
     seen = observe(scene, view, polarization, model.covered & (model.beta0 > 0))
     mu = model.beta0[seen.interior]

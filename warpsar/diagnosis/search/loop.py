@@ -37,7 +37,7 @@ from warpsar.diagnosis.turn.sensor_search import Hypothesis, screened_sensor, se
 from warpsar.diagnosis.turn.settings import resettled
 from warpsar.diagnosis.turn.shortlist import by_rank, refits
 from warpsar.effects.registry import get
-from warpsar.errors import InputError
+from warpsar.errors import NothingLitError
 from warpsar.learning.pose_search import FoundPoses
 from warpsar.runtime import console, once
 from warpsar.runtime.deadline import TimeUp, deadline
@@ -146,7 +146,7 @@ class Search:
         """
         try:
             images = self._judge(scene, "train")
-        except InputError:
+        except NothingLitError:
             return False
         found = set(self._judge.judgement(images).findings)
         return bool(once.decide(float("edges" not in found and bool({"structure", "level"} & found))))
