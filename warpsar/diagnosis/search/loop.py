@@ -29,12 +29,11 @@ from warpsar.diagnosis.search.record import SearchRecord
 from warpsar.diagnosis.turn.addition import TOO_LITTLE, add_the_best
 from warpsar.diagnosis.turn.geometry_search import Screened, geometry_candidates, screened_bodies, worth_fits
 from warpsar.diagnosis.turn.geometry_trial import add_the_likeliest, on_its_ground, posed_anew, with_all_anew
-from warpsar.diagnosis.turn.pruning import prune, trimmed, with_smaller
+from warpsar.diagnosis.turn.pruning import prune, resettled, trimmed, with_smaller
 from warpsar.diagnosis.turn.rivals import rivals_of
 from warpsar.diagnosis.turn.scoring import score_effects
 from warpsar.diagnosis.turn.screening import NO_DARK
 from warpsar.diagnosis.turn.sensor_search import Hypothesis, screened_sensor, sensor_candidates, worth_a_fit
-from warpsar.diagnosis.turn.settings import resettled
 from warpsar.diagnosis.turn.shortlist import by_rank, refits
 from warpsar.effects.registry import get
 from warpsar.errors import NothingLitError
