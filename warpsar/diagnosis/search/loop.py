@@ -400,7 +400,7 @@ def _promising(sensor: Sequence[Hypothesis], bodies: Sequence[Screened], area: f
     asked = [(one.foretold, len(one.parameters)) for one in sensor]
     asked += [pair for one in bodies for pair in ((one.moved, NUMBERS[POSE]), (one.resized, NUMBERS[SIZE]))]
     scores = [float(minus_log_p(np.array(2.0 * max(gain, 0.0) / area), size, 0)) for gain, size in asked]
-    return max(scores, default=0.0) - np.log(max(len(asked), 1)) > threshold
+    return bool(max(scores, default=0.0) - np.log(max(len(asked), 1)) > threshold)
 
 
 def _say(turn: Turn, number: int, passing: Sequence[Candidate]) -> None:
