@@ -16,7 +16,7 @@ from warpsar.errors import InputError
 from warpsar.learning.command import run
 from warpsar.learning.geometry import Geometry
 from warpsar.learning.options import LearnOptions
-from warpsar.learning.pose import PosedProblem
+from warpsar.learning.pose import PosedProblem, foretold_gain, without_shading
 from warpsar.learning.pose_pixels import FLOOR_SHARE, compared
 from warpsar.learning.pose_search import find_poses, group_pose
 from warpsar.learning.pose_sharing import boxes, columns_of, shared
@@ -209,11 +209,42 @@ def test_rough_changes_are_those_of_single_bounces() -> None:
     without = FitProblem(plain, CPU, rays=ExactRays(Stage.of(plain, CPU)))
     pixels = {one.view.name: list(one.observations) for one in without.views}
     rough = PosedProblem(bounced, CPU, pixels, held=True, rough=True)
-    single = PosedProblem(plain, CPU, pixels, held=True)
+    single = PosedProblem(plain, CPU, pixels, held=True, forward=True)
     (changed,), (expected,) = rough.jacobian(rough.x0), single.jacobian(single.x0)
     (more,), (less,) = (one.modelled(one.x0) for one in (rough, single))
     assert (more > 1.5 * less).any()
     np.testing.assert_allclose(changed * more[:, None], expected * less[:, None], rtol=1e-5, atol=1e-9)
+
+
+def test_views_left_out_begin_with_the_changes_of_all() -> None:
+    scene = measured(scene_with(BOX, sides=SIDES[:2], shape=48, learn=("position",)))
+    plain = FitProblem(scene, CPU, rays=ExactRays(Stage.of(scene, CPU)))
+    pixels = {one.view.name: list(one.observations) for one in plain.views}
+    every, other, own = (
+        PosedProblem(scene, CPU, seen, held=True) for seen in (pixels, {"v1": pixels["v1"]}, {"v1": pixels["v1"]})
+    )
+    other.begin_with(every)
+    assert other.is_made_at(other.x0)
+    np.testing.assert_allclose(other.jacobian(other.x0)[0], own.jacobian(own.x0)[0], rtol=1e-6)
+
+
+def test_shifts_of_images_are_foretold() -> None:
+    """Blurred images whose pixels lie a fifth of a pixel further in range, and a tenth nearer in azimuth: the shift of
+    each image, to the error of differences over pixels, and what it costs of ln L."""
+    scene = measured(scene_with(BOX, sides=SIDES[:2], shape=48, learn=("position",)), looks=1e6)
+    far = {"range_m": 0.1, "azimuth_m": -0.05}
+    moved = exact_images(replace(scene, effects={"registration": validate("registration", far, "registration")}), CPU)
+
+    def problem(images: dict[str, dict[str, np.ndarray]]) -> PosedProblem:
+        seen = {one.name: {"HH": images[one.name]["HH"].astype(np.float32)} for one in scene.views}
+        views = [one.model_copy(update={"images": seen[one.name], "looks": 16.0}) for one in scene.views]
+        return problem_of(replace(scene, views=views), 3.0)
+
+    shifted, there = problem(moved), problem(exact_images(scene, CPU))
+    left, slope = (part[3:] for part in without_shading(shifted, shifts=True))
+    assert np.linalg.solve(left[:, 3:], slope) == pytest.approx([0.2, -0.1, 0.2, -0.1], abs=0.03)
+    cost = shifted.value(shifted.x0) - there.value(there.x0)
+    assert foretold_gain(left[:, 3:], slope) == pytest.approx(cost, rel=0.1)
 
 
 def test_slopes_to_vertices() -> None:

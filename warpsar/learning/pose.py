@@ -58,17 +58,20 @@ class PosedProblem:
         level: float = 0.0,
         standing: Collection[str] = (),
         bound: float = 0.0,
+        forward: bool = False,
         rough: bool = False,
     ) -> None:
         """`held`: nothing moves but the poses. `level` [beta0]: how much of the floor was added to the measurement.
-        `bound` is that of the loss, as in `FitProblem`. `rough`: changes by poses are those of single bounces alone,
-        which is enough to tell which pose is worth a fit. Paths over several surfaces would be traced for each.
+        `bound` is that of the loss, as in `FitProblem`. `forward`: changes by poses are forward differences, of half as
+        many images, for a search that something finer follows. `rough`: these are of single bounces alone, which is
+        enough to tell which pose is worth a fit. Paths over several surfaces would be traced for each.
 
         `standing`: labels of objects whose foot stays at its height, known to `STANDS_M`. Their height and that of the
         foot would trade otherwise: a body sunk into the ground looks like a lower one.
         """
         self.scene, self.device, self.loss, self._seen = scene, device, loss, observations
-        self.geometry, self.level, self.bound, self.rough = Geometry(scene), level, bound, rough
+        self.geometry, self.level, self.bound = Geometry(scene), level, bound
+        self.forward, self.rough = forward or rough, rough
         self._kept: OrderedDict[bytes, FitProblem] = OrderedDict()
         self._changes: tuple[np.ndarray, list[np.ndarray]] | None = None  # x, and d(mu) / dp there of each observation
         self.count = len(self.geometry.coordinates)
@@ -142,7 +145,7 @@ class PosedProblem:
     def jacobian(self, x: np.ndarray, *, near: bool = False) -> list[np.ndarray]:
         """d ln(mu) / dx of every observation, shape (pixels, len(x)), as `FitProblem.jacobian`.
 
-        Those to poses are central differences of exact images, `POSE_STEP_M` to either side. `near`: those of an x
+        Those to poses are differences of exact images, `POSE_STEP_M` to either side. `near`: those of an x
         close by will do, if there are any.
         """
         problem, rest = self.split(x)
@@ -165,6 +168,15 @@ class PosedProblem:
             found = [j - np.average(j, axis=0, weights=w) for j, w in zip(found, weights, strict=True)]
         return found
 
+    def begin_with(self, other: PosedProblem) -> None:
+        """Take the changes by poses at the start from a problem of the same scene that has these views and others."""
+        if not other.is_made_at(other.x0):
+            other.jacobian(other.x0)
+        assert other._changes is not None
+        known, mine = (one.standing(np.zeros(one.count)).observations for one in (other, self))
+        changes = {(s.view.name, s.polarization): each for s, each in zip(known, other._changes[1], strict=True)}
+        self._changes = self.x0.copy(), [changes[s.view.name, s.polarization] for s in mine]
+
     def _is_near(self, x: np.ndarray) -> bool:
         """Whether the last changes by poses were made at an x close to this one."""
         if self._changes is None:
@@ -179,11 +191,16 @@ class PosedProblem:
         return self._changes is not None and np.array_equal(x, self._changes[0])
 
     def _changed(self, problem: FitProblem, view: FitView, rest: np.ndarray, p: np.ndarray) -> list[np.ndarray]:
-        """d(mu) / dp of a view's observations, shape (pixels, len(p)) each."""
+        """d(mu) / dp of a view's observations, shape (pixels, len(p)) each: central differences, or forward ones."""
         seen_as = without_paths(problem.scene) if self.rough else problem.scene
         places = boxes(seen_as, view.view)
         coordinates, name = self.geometry.coordinates, view.view.name
         found = [np.zeros((seen.values.size, p.size)) for seen in view.observations]
+        standing: dict[tuple[int, int] | None, list[np.ndarray]] = {}  # as they are, by the columns that are made
+
+        def there(step: np.ndarray, columns: tuple[int, int] | None) -> list[np.ndarray]:
+            return images_elsewhere(problem, view, rest, self.geometry.at(p + step), columns, paths=not self.rough)
+
         for group in shared(coordinates, places):
             if not any(coordinates[k].changes(name) for k in group):
                 continue
@@ -191,16 +208,19 @@ class PosedProblem:
             step[group] = POSE_STEP_M
             bodies = {coordinates[k].body for k in group}
             columns = None if places is None or None in bodies else columns_of([places[one] for one in bodies if one])
-            above, below = (
-                images_elsewhere(problem, view, rest, self.geometry.at(p + s * step), columns, paths=not self.rough)
-                for s in (1.0, -1.0)
-            )
+            above = there(step, columns)
+            if not self.forward:
+                below, apart = there(-step, columns), 2.0 * POSE_STEP_M
+            else:
+                if columns not in standing:
+                    standing[columns] = there(np.zeros(p.size), columns)
+                below, apart = standing[columns], POSE_STEP_M
             for into, seen, a, b in zip(found, view.observations, above, below, strict=True):
                 row, column = np.divmod(seen.pixels, problem.scene.grid.shape[1])
                 for k in group:
                     body = coordinates[k].body
                     inside = True if places is None or body is None else places[body].holds(row, column)
-                    into[:, k] = np.where(inside, (a - b) / (2.0 * POSE_STEP_M), 0.0)
+                    into[:, k] = np.where(inside, (a - b) / apart, 0.0)
         return found
 
     def identified(self, x: np.ndarray) -> Identified:
@@ -295,25 +315,52 @@ def _lower(
     return None
 
 
-def _quadratic(problem: PosedProblem, x: np.ndarray, *, near: bool = False) -> tuple[np.ndarray, np.ndarray]:
-    """Gradient and curvature of the loss with its priors; `near` as in `PosedProblem.jacobian`."""
+def _quadratic(
+    problem: PosedProblem, x: np.ndarray, *, near: bool = False, shifts: bool = False
+) -> tuple[np.ndarray, np.ndarray]:
+    """Gradient and curvature of the loss with its priors; `near` as in `PosedProblem.jacobian`. `shifts`: also to those
+    of every image in range and azimuth [pixels], behind x."""
     jacobians = problem.jacobian(x, near=near)
     inner, rest = problem.split(x)
+    curvatures = inner.curvatures(inner.modelled(rest))
     gradient, hessian = problem.prior.gradient(x), problem.prior.information(x)
-    for j, c in zip(jacobians, inner.curvatures(inner.modelled(rest)), strict=True):
+    if shifts:
+        further = _shifts(inner)
+        if not problem.scene.grid.calibrated:
+            further = [s - np.average(s, axis=0, weights=c.weight) for s, c in zip(further, curvatures, strict=True)]
+        jacobians = [np.hstack(pair) for pair in zip(jacobians, further, strict=True)]
+        more = 2 * len(jacobians)
+        gradient, hessian = np.pad(gradient, (0, more)), np.pad(hessian, (0, more))
+    for j, c in zip(jacobians, curvatures, strict=True):
         weighted = c.weight[:, None] * j
         gradient = gradient - weighted.T @ c.residual
         hessian = hessian + transposed_times(j, weighted)
     return gradient, hessian
 
 
-def without_shading(problem: PosedProblem) -> tuple[np.ndarray, np.ndarray]:
-    """Curvature and slope of the log-likelihood to the geometry, at the start, with surface and effects moving along.
+def _shifts(problem: FitProblem) -> list[np.ndarray]:
+    """d ln(mu) of every observation, shape (pixels, 2 x observations), by a shift of each image by a pixel in range and
+    in azimuth, about the images that were rendered last."""
+    found = []
+    pairs = [(view, seen) for view in problem.views for seen in view.observations]
+    for k, (view, seen) in enumerate(pairs):
+        image = view.render.images[seen.polarization].numpy().reshape(seen.interior.shape).astype(float)
+        slopes = -np.stack([np.gradient(image, axis=axis).ravel()[seen.pixels] for axis in (0, 1)], axis=1)
+        mu = np.maximum(image.ravel()[seen.pixels], seen.darkest)
+        columns = np.zeros((len(mu), 2 * len(pairs)))
+        columns[:, 2 * k : 2 * k + 2] = slopes / mu[:, None]
+        found.append(columns)
+    return found
+
+
+def without_shading(problem: PosedProblem, *, shifts: bool = False) -> tuple[np.ndarray, np.ndarray]:
+    """Curvature and slope of the log-likelihood to the geometry, at the start, with surface and effects moving along;
+    with `shifts`, to those of every image too, last.
 
     Shapes (n, n) and (n,): what is left of the geometry's own when all that surface and effects can imitate is taken
     out. A step s gains slope s - s curvature s / 2 to second order.
     """
-    gradient, hessian = _quadratic(problem, problem.x0)
+    gradient, hessian = _quadratic(problem, problem.x0, shifts=shifts)
     own, n = slice(0, problem.size), problem.size
     along = np.linalg.pinv(hessian[own, own], rcond=1e-9, hermitian=True) @ np.column_stack(
         [hessian[own, n:], gradient[own]]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
@@ -61,6 +62,87 @@ class FoundPoses:
     pulls: list[Pull] = field(default_factory=list)
 
 
+@dataclass(frozen=True)
+class PoseSearch:
+    """What blurred images say of a geometry: where the fit of sharp images begins. `gain`: what has been gained of the
+    log-likelihood of the least blurred ones, by which searches are compared; 0 where there was none. The others as
+    `find_poses` has them; `known`: where the search ended, by label."""
+
+    scene: Scene
+    device: wp.Device
+    given: FitProblem
+    loss: str
+    held: bool
+    standing: Collection[str]
+    gain: float
+    known: Mapping[str, float]
+
+    def finish(self) -> FoundPoses:
+        """The likeliest geometry of the sharp images, from where the search ended."""
+        problem, end = self._descended(self.scene, 0.0, self.known, self.standing)
+        identified = problem.identified(end.x)
+        found = _scene_at(problem, end.x, self.scene)
+        at_end = FitProblem(
+            found,
+            self.device,
+            loss=self.loss,
+            views=list(self.pixels),
+            rays=ExactRays(Stage.of(found, self.device), seed=found.sampling.seed),
+            observations=self.pixels,
+        )
+        before, after = (one.value(one.modelled(one.x0)) for one in (self.given, at_end))
+        _, best = self._descended(still(self.scene), 0.0, {})
+        tolerated = set(problem.geometry.labels) - {problem.labels[k] for k in problem.stood}
+        return FoundPoses(
+            found,
+            best.loss - end.loss,
+            float(before - after),
+            problem.count - len(problem.stood),
+            summary(problem, end.x, identified),
+            numbers(problem, end.x, identified),
+            identified,
+            [*problem.geometry.held, *_words(problem, identified)],
+            [pull for pull in pulls(problem, end.x, identified) if pull.label in tolerated],
+        )
+
+    @cached_property
+    def pixels(self) -> dict[str, list[Observation]]:
+        """The pixels that are compared, by view name."""
+        found: dict[str, list[Observation]] = {}
+        for seen in self.given.observations:
+            found.setdefault(seen.view.name, []).append(seen)
+        return found
+
+    @cached_property
+    def _gains(self) -> dict[tuple[str, str], float]:
+        gains = self.given.gains(self.given.modelled(self.given.x0))
+        pairs = zip(self.given.observations, gains, strict=True)
+        return {(seen.view.name, seen.polarization): float(gain) for seen, gain in pairs}
+
+    def _descended(
+        self, scene: Scene, blur_m: float, known: Mapping[str, float], standing: Collection[str] = ()
+    ) -> tuple[PosedProblem, Descended]:
+        """The problem of images blurred by `blur_m`, and where it ends from what is `known` by label.
+
+        Blurred images hold the point spread that a scene declares, so it is no part of their x.
+        """
+        both = compared(scene, self.pixels, blur_m, self._gains)
+        problem = PosedProblem(
+            both.scene,
+            self.device,
+            both.observations,
+            loss=self.loss,
+            held=self.held,
+            level=both.level,
+            standing=standing,
+            forward=blur_m > 0.0,
+        )
+        start = np.array([known.get(label, value) for label, value in zip(problem.labels, problem.x0, strict=True)])
+        if not blur_m:
+            return problem, descend(problem, start)
+        return problem, descend(problem, start, most=SEARCH_STEPS, flat=SEARCH_FLAT, near=True)
+
+
 def find_poses(
     scene: Scene,
     device: wp.Device,
@@ -80,6 +162,31 @@ def find_poses(
     its height, where their own is learned. Raises InputError where nothing of the geometry is to be learned, and for
     views without images.
     """
+    begun = search_poses(
+        scene,
+        device,
+        views=views,
+        observations=observations,
+        loss=loss,
+        blurs_m=SEARCH_BLUR_M if search else (),
+        held=held,
+        standing=standing,
+    )
+    return begun.finish()
+
+
+def search_poses(
+    scene: Scene,
+    device: wp.Device,
+    *,
+    views: Sequence[str] | None = None,
+    observations: Mapping[str, list[Observation]] | None = None,
+    loss: str = "gamma",
+    blurs_m: Sequence[float] = SEARCH_BLUR_M,
+    held: bool = False,
+    standing: Collection[str] = (),
+) -> PoseSearch:
+    """The search on blurred images that `find_poses` begins with, and goes on from (`PoseSearch.finish`)."""
     if next(freed(scene), None) is None:
         raise InputError(
             f"{scene.name}: found no object, view, [radar] or [image] with `learn`; at least one must state it"
@@ -92,40 +199,12 @@ def find_poses(
         rays=ExactRays(Stage.of(scene, device), seed=scene.sampling.seed),
         observations=observations,
     )
-    pixels: dict[str, list[Observation]] = {}
-    for seen in given.observations:
-        pixels.setdefault(seen.view.name, []).append(seen)
-    gains = given.gains(given.modelled(given.x0))
-    loud = {(s.view.name, s.polarization): float(g) for s, g in zip(given.observations, gains, strict=True)}
-    known: dict[str, float] = {}
-    for blur_m in SEARCH_BLUR_M if search else ():
-        blurred, there = _descended(scene, device, pixels, loud, loss, held, blur_m, known, standing)
-        known = dict(zip(blurred.labels, there.x.tolist(), strict=True))
-    problem, end = _descended(scene, device, pixels, loud, loss, held, 0.0, known, standing)
-    identified = problem.identified(end.x)
-    found = _scene_at(problem, end.x, scene)
-    at_end = FitProblem(
-        found,
-        device,
-        loss=loss,
-        views=list(pixels),
-        rays=ExactRays(Stage.of(found, device), seed=scene.sampling.seed),
-        observations=pixels,
-    )
-    before, after = (one.value(one.modelled(one.x0)) for one in (given, at_end))
-    _, best = _descended(still(scene), device, pixels, loud, loss, held, 0.0, {})
-    tolerated = set(problem.geometry.labels) - {problem.labels[k] for k in problem.stood}
-    return FoundPoses(
-        found,
-        best.loss - end.loss,
-        float(before - after),
-        problem.count - len(problem.stood),
-        summary(problem, end.x, identified),
-        numbers(problem, end.x, identified),
-        identified,
-        [*problem.geometry.held, *_words(problem, identified)],
-        [pull for pull in pulls(problem, end.x, identified) if pull.label in tolerated],
-    )
+    found = PoseSearch(scene, device, given, loss, held, standing, 0.0, {})
+    for blur_m in blurs_m:
+        blurred, there = found._descended(scene, blur_m, found.known, standing)
+        gain = blurred.value(blurred.x0) - there.loss if blur_m == blurs_m[-1] else 0.0
+        found = replace(found, gain=gain, known=dict(zip(blurred.labels, there.x.tolist(), strict=True)))
+    return found
 
 
 def group_pose(
@@ -149,31 +228,6 @@ def with_group(scene: Scene, group: str, learn: tuple[Learnable, ...]) -> Scene:
     """The scene with one of its groups as an object of its own, where it stands. Nothing else is learned of objects."""
     others = [one.model_copy(update={"learn": ()}) for one in scene.objects]
     return with_objects(scene, [*others, Object(group=group, learn=learn)])
-
-
-def _descended(
-    scene: Scene,
-    device: wp.Device,
-    pixels: Mapping[str, list[Observation]],
-    gains: Mapping[tuple[str, str], float],
-    loss: str,
-    held: bool,
-    blur_m: float,
-    known: Mapping[str, float],
-    standing: Collection[str] = (),
-) -> tuple[PosedProblem, Descended]:
-    """The problem of images blurred by `blur_m`, and where it ends from what is `known` by label.
-
-    Blurred images hold the point spread that a scene declares, so it is no part of their x.
-    """
-    both = compared(scene, pixels, blur_m, gains)
-    problem = PosedProblem(
-        both.scene, device, both.observations, loss=loss, held=held, level=both.level, standing=standing
-    )
-    start = np.array([known.get(label, value) for label, value in zip(problem.labels, problem.x0, strict=True)])
-    if not blur_m:
-        return problem, descend(problem, start)
-    return problem, descend(problem, start, most=SEARCH_STEPS, flat=SEARCH_FLAT, near=True)
 
 
 def _scene_at(problem: PosedProblem, x: np.ndarray, scene: Scene) -> Scene:

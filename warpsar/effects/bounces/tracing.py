@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
@@ -83,10 +83,14 @@ class BouncesOfOneNumber:
 
 @dataclass
 class TracedPaths:
-    """Paths of 2, 3, ... bounces, None where there are none of a number, and what a user should be told of them."""
+    """Paths of 2, 3, ... bounces, None where there are none of a number, and what a user should be told of them.
+
+    `without_cells` makes what the same rays have without cells, as if these had not been asked for.
+    """
 
     of: list[BouncesOfOneNumber | None]
     remarks: list[str]
+    without_cells: Callable[[], TracedPaths]
 
 
 def trace_paths(render: Recorder, max_bounces: int, cell_m: tuple[float, float] | None = None) -> TracedPaths:
@@ -111,6 +115,7 @@ def trace_paths(render: Recorder, max_bounces: int, cell_m: tuple[float, float] 
     ]
     tasks = [partial(_band, render, rays, max_bounces, cells, band) for band in bands]
     traced_bands = list(threads.ordered(tasks, target.device))
+    plain = [_Traced([one and _Merged(one.records, None) for one in band.of], band.area) for band in traced_bands]
     shared: list[SharedFields | None] = [None] * (max_bounces - 1)
     error = 0.0
     if cell_m is not None:
@@ -122,28 +127,38 @@ def trace_paths(render: Recorder, max_bounces: int, cell_m: tuple[float, float] 
             finer = dict(zip(splits, threads.ordered(again, target.device), strict=True))
             traced_bands = [finer.get(at, one) for at, one in enumerate(traced_bands)]
             shared = _shared(traced_bands, max_bounces, grid, cell_m)
-    parts = [part.of for part in traced_bands]
-    remarks = _remarks(traced_bands, max_bounces, error)
-    found: list[BouncesOfOneNumber | None] = []
-    for index in range(max_bounces - 1):
-        mine = [one for part in parts if (one := part[index]) is not None]
-        if not mine:
-            found.append(None)
-            continue
-        arrays = {
-            name: concatenate([getattr(one.records, name) for one in mine], dtype, target.device)
-            for name, dtype in _ARRAYS.items()
-        }
-        traced = BouncesOfOneNumber(_paths(fill(kernels.PathRecords, **arrays), index + 2, rays, target))
-        if (fields := shared[index]) is not None:
+    found = _joined(traced_bands, max_bounces, rays, target)
+    for traced, fields in zip(found, shared, strict=True):
+        if traced is not None and fields is not None:
             made, samples = samples_of(fields, kinds, grid.shape[1], area, target.device)
             own: dict[str, Any] = {
                 name: wp.array(made[name], dtype=dtype, device=target.device) for name, dtype in _ARRAYS.items()
             }
-            paths = _paths(fill(kernels.PathRecords, **own), index + 2, rays, target)
-            traced.coherent = CoherentPaths(paths, samples)
-        found.append(traced)
-    return TracedPaths(found, remarks)
+            bounces = len(traced.paths.bounces)
+            traced.coherent = CoherentPaths(_paths(fill(kernels.PathRecords, **own), bounces, rays, target), samples)
+
+    def without_cells() -> TracedPaths:
+        return TracedPaths(_joined(plain, max_bounces, rays, target), _remarks(plain, max_bounces, 0.0), without_cells)
+
+    return TracedPaths(found, _remarks(traced_bands, max_bounces, error), without_cells)
+
+
+def _joined(
+    traced: Sequence[_Traced], max_bounces: int, rays: RayGrid, target: Target
+) -> list[BouncesOfOneNumber | None]:
+    """The paths of all bands by number of bounces, two first; None where there are none."""
+    found: list[BouncesOfOneNumber | None] = []
+    for index in range(max_bounces - 1):
+        mine = [merged.records for one in traced if (merged := one.of[index]) is not None]
+        if not mine:
+            found.append(None)
+            continue
+        arrays = {
+            name: concatenate([getattr(one, name) for one in mine], dtype, target.device)
+            for name, dtype in _ARRAYS.items()
+        }
+        found.append(BouncesOfOneNumber(_paths(fill(kernels.PathRecords, **arrays), index + 2, rays, target)))
+    return found
 
 
 def _kinds(render: Recorder) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
