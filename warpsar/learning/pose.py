@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -13,14 +13,15 @@ import warp as wp
 from warpsar.compare.observation import Observation
 from warpsar.learning.geometry import Geometry
 from warpsar.learning.identify import Identified, of_information, score_products
-from warpsar.learning.pose_sharing import boxes, columns_of, shared
-from warpsar.learning.posed_images import images_elsewhere, without_paths
+from warpsar.learning.pose_sharing import Box, boxes, columns_of, shared
+from warpsar.learning.posed_images import render_elsewhere, without_paths
 from warpsar.learning.prior import Known, Prior
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.view import FitView
+from warpsar.render.tangents import through_image
 from warpsar.runtime import threads
 from warpsar.runtime.deadline import check
-from warpsar.runtime.matmul import transposed_times
+from warpsar.runtime.matmul import gram_by_tiles, transposed_times
 from warpsar.scene.scene import Scene
 from warpsar.simulation.exact_rays import ExactRays
 from warpsar.speckle.likelihood import residual_sd
@@ -145,24 +146,29 @@ class PosedProblem:
         Those to poses are central differences of exact images, `POSE_STEP_M` to either side. `near`: those of an x
         close by will do, if there are any.
         """
+        found = self.slopes(x, near=near)
+        if not self.scene.grid.calibrated:
+            problem, rest = self.split(x)
+            weights = [c.weight for c in problem.curvatures(problem.modelled(rest))]
+            found = [j - np.average(j, axis=0, weights=w) for j, w in zip(found, weights, strict=True)]
+        return found
+
+    def slopes(self, x: np.ndarray, *, near: bool = False) -> list[np.ndarray]:
+        """As `jacobian`, but the tangent of an unknown gain stays in the columns of poses: they are 0 where a body
+        changes nothing."""
         problem, rest = self.split(x)
-        if self.size:
-            own = problem.jacobian(rest)
-        else:
-            own = [np.zeros((seen.values.size, 0)) for seen in problem.observations]
+        own = problem.jacobian(rest) if self.size else None
         modelled = problem.modelled(rest)
         if not (self.is_made_at(x) or (near and self._is_near(x))):
-            tasks = [partial(self._changed, problem, view, rest, x[self.size :]) for view in problem.views]
-            self._changes = x.copy(), [one for found in threads.ordered(tasks, self.device) for one in found]
+            self._changes = x.copy(), self._changed(problem, rest, x[self.size :])
         assert self._changes is not None
-        slopes = [
-            np.where(mu > seen.darkest, 1.0 / mu, 0.0)[:, None] * change
-            for change, seen, mu in zip(self._changes[1], problem.observations, modelled, strict=True)
-        ]
-        found = [np.column_stack(pair) for pair in zip(own, slopes, strict=True)]
-        if not self.scene.grid.calibrated:
-            weights = [c.weight for c in problem.curvatures(modelled)]
-            found = [j - np.average(j, axis=0, weights=w) for j, w in zip(found, weights, strict=True)]
+        found = []
+        for k, (change, seen, mu) in enumerate(zip(self._changes[1], problem.observations, modelled, strict=True)):
+            one = np.empty((mu.size, x.size))
+            if own is not None:
+                one[:, : self.size] = own[k]
+            np.multiply(np.where(mu > seen.darkest, 1.0 / mu, 0.0)[:, None], change, out=one[:, self.size :])
+            found.append(one)
         return found
 
     def _is_near(self, x: np.ndarray) -> bool:
@@ -178,30 +184,63 @@ class PosedProblem:
         """Whether the last changes by poses were made at this x."""
         return self._changes is not None and np.array_equal(x, self._changes[0])
 
-    def _changed(self, problem: FitProblem, view: FitView, rest: np.ndarray, p: np.ndarray) -> list[np.ndarray]:
-        """d(mu) / dp of a view's observations, shape (pixels, len(p)) each."""
-        seen_as = without_paths(problem.scene) if self.rough else problem.scene
-        places = boxes(seen_as, view.view)
-        coordinates, name = self.geometry.coordinates, view.view.name
-        found = [np.zeros((seen.values.size, p.size)) for seen in view.observations]
-        for group in shared(coordinates, places):
-            if not any(coordinates[k].changes(name) for k in group):
-                continue
-            step = np.zeros(p.size)
-            step[group] = POSE_STEP_M
-            bodies = {coordinates[k].body for k in group}
-            columns = None if places is None or None in bodies else columns_of([places[one] for one in bodies if one])
-            above, below = (
-                images_elsewhere(problem, view, rest, self.geometry.at(p + s * step), columns, paths=not self.rough)
-                for s in (1.0, -1.0)
-            )
-            for into, seen, a, b in zip(found, view.observations, above, below, strict=True):
-                row, column = np.divmod(seen.pixels, problem.scene.grid.shape[1])
-                for k in group:
-                    body = coordinates[k].body
-                    inside = True if places is None or body is None else places[body].holds(row, column)
-                    into[:, k] = np.where(inside, (a - b) / (2.0 * POSE_STEP_M), 0.0)
+    def _changed(self, problem: FitProblem, rest: np.ndarray, p: np.ndarray) -> list[np.ndarray]:
+        """d(mu) / dp of every observation, shape (pixels, len(p)) each."""
+        found, tasks = [], []
+        for view in problem.views:
+            into = [np.zeros((seen.values.size, p.size), np.float32) for seen in view.observations]
+            tasks += self._moves(problem, view, rest, p, into)
+            found += into
+        for _ in threads.ordered(tasks, self.device):
+            pass
         return found
+
+    def _moves(
+        self, problem: FitProblem, view: FitView, rest: np.ndarray, p: np.ndarray, into: list[np.ndarray]
+    ) -> list[Callable[[], None]]:
+        """Tasks that fill the view's columns of `into`, d(mu) / dp: one for all that may move in one render."""
+        scene = replace(problem.scene, effects=problem.effect_tables(rest))
+        places = boxes(without_paths(scene) if self.rough else scene, view.view)
+        coordinates, name = self.geometry.coordinates, view.view.name
+        groups = shared(coordinates, places)
+        return [
+            partial(self._moved, problem, view, rest, p, group, places, into)
+            for group in groups
+            if any(coordinates[k].changes(name) for k in group)
+        ]
+
+    def _moved(
+        self,
+        problem: FitProblem,
+        view: FitView,
+        rest: np.ndarray,
+        p: np.ndarray,
+        group: Sequence[int],
+        places: Mapping[str, Box] | None,
+        into: list[np.ndarray],
+    ) -> None:
+        """Fill the columns of a group: differences of the power before the image stage, taken through that stage. An
+        angle and a spacing may change that stage, too, so theirs are differences of images."""
+        coordinates, shape = self.geometry.coordinates, problem.scene.grid.shape
+        step = np.zeros(p.size)
+        step[group] = POSE_STEP_M
+        bodies = [body for body in (coordinates[k].body for k in group) if body is not None]
+        own = None if places is None or not bodies else [places[body] for body in bodies]
+        band = None if own is None else columns_of(own)
+        above, below = (
+            render_elsewhere(problem, view, rest, self.geometry.at(p + s * step), band, paths=not self.rough)
+            for s in (1.0, -1.0)
+        )
+        for (polarization, pixels, _), found in zip(view.compared, into, strict=True):
+            if not bodies:
+                up, down = (one.images[polarization].numpy()[pixels].astype(float) for one in (above, below))
+                found[:, group[0]] = (up - down) / (2.0 * POSE_STEP_M)
+                continue
+            up, down = (one.before_image[polarization].numpy().reshape(shape) for one in (above, below))
+            change = (up - down) / np.float32(2.0 * POSE_STEP_M)
+            moves = np.stack([change] if own is None else [one.alone(change) for one in own])
+            moved = through_image(above, polarization, moves.reshape(len(group), -1))
+            found[:, group] = moved[:, pixels].T
 
     def identified(self, x: np.ndarray) -> Identified:
         """Fisher information of surface, effects and poses together, with the priors, and the intervals from it.
@@ -297,13 +336,19 @@ def _lower(
 
 def _quadratic(problem: PosedProblem, x: np.ndarray, *, near: bool = False) -> tuple[np.ndarray, np.ndarray]:
     """Gradient and curvature of the loss with its priors; `near` as in `PosedProblem.jacobian`."""
-    jacobians = problem.jacobian(x, near=near)
+    slopes = problem.slopes(x, near=near)
     inner, rest = problem.split(x)
     gradient, hessian = problem.prior.gradient(x), problem.prior.information(x)
-    for j, c in zip(jacobians, inner.curvatures(inner.modelled(rest)), strict=True):
-        weighted = c.weight[:, None] * j
-        gradient = gradient - weighted.T @ c.residual
-        hessian = hessian + transposed_times(j, weighted)
+    shape, calibrated = problem.scene.grid.shape, problem.scene.grid.calibrated
+    curvatures = inner.curvatures(inner.modelled(rest))
+    for j, c, seen in zip(slopes, curvatures, inner.observations, strict=True):
+        of_gain = c.weight @ j  # the tangent of an unknown gain is taken out of every column
+        gradient = gradient - (c.weight * c.residual) @ j
+        hessian = hessian + gram_by_tiles(j, c.weight, seen.pixels, shape)
+        if not calibrated:
+            total = float(c.weight.sum())
+            gradient = gradient + of_gain * (float(c.weight @ c.residual) / total)
+            hessian = hessian - np.outer(of_gain, of_gain) / total
     return gradient, hessian
 
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -42,23 +43,28 @@ SHARE = 0.2  # of a unit move, from which a number is part of it
 class FoundPoses:
     """Objects at their likeliest poses, views at their angles, and pixel spacings.
 
-    `scene`: the scene with them, and with the surface and effects that were fitted along. `gain`: what the poses add to
-    the log-likelihood over all usable pixels above a common floor (`pose_pixels`), where surface and effects are at
-    their best with and without them. `gain_given`: rise over the pixels that were given, from the scene as it was
-    given; a refit on those pixels raises it further. `size`: how many numbers of poses moved. `identified`: information
-    on everything that was fitted, poses last [m at the objects' edges]. `words`: what cannot be told apart. `pulls`:
-    every number of a pose or size that is known to a tolerance, before and after.
+    `scene`: the scene with them, and with the surface and effects that were fitted along. `loss`: where the fit ended,
+    with its priors. `size`: how many numbers of poses moved. `identified`: information on everything that was fitted,
+    poses last [m at the objects' edges]. `words`: what cannot be told apart. `pulls`: every number of a pose or size
+    that is known to a tolerance, before and after.
     """
 
     scene: Scene
-    gain: float
-    gain_given: float
+    loss: float
     size: int
     objects: dict[str, dict[str, Any]]
     numbers: dict[str, dict[str, Any]]
     identified: Identified
     words: list[str]
+    without: Callable[[], float] = field(repr=False)
+    """Fits surface and effects with nothing moved; returns that fit's loss."""
     pulls: list[Pull] = field(default_factory=list)
+
+    @cached_property
+    def gain(self) -> float:
+        """What the poses add to the log-likelihood over all usable pixels above a common floor (`pose_pixels`), where
+        surface and effects are at their best with and without them. It is a fit of its own when first asked for."""
+        return self.without() - self.loss
 
 
 def find_poses(
@@ -104,26 +110,16 @@ def find_poses(
     problem, end = _descended(scene, device, pixels, loud, loss, held, 0.0, known, standing)
     identified = problem.identified(end.x)
     found = _scene_at(problem, end.x, scene)
-    at_end = FitProblem(
-        found,
-        device,
-        loss=loss,
-        views=list(pixels),
-        rays=ExactRays(Stage.of(found, device), seed=scene.sampling.seed),
-        observations=pixels,
-    )
-    before, after = (one.value(one.modelled(one.x0)) for one in (given, at_end))
-    _, best = _descended(still(scene), device, pixels, loud, loss, held, 0.0, {})
     tolerated = set(problem.geometry.labels) - {problem.labels[k] for k in problem.stood}
     return FoundPoses(
         found,
-        best.loss - end.loss,
-        float(before - after),
+        end.loss,
         problem.count - len(problem.stood),
         summary(problem, end.x, identified),
         numbers(problem, end.x, identified),
         identified,
         [*problem.geometry.held, *_words(problem, identified)],
+        partial(_loss_without, scene, device, pixels, loud, loss, held),
         [pull for pull in pulls(problem, end.x, identified) if pull.label in tolerated],
     )
 
@@ -174,6 +170,19 @@ def _descended(
     if not blur_m:
         return problem, descend(problem, start)
     return problem, descend(problem, start, most=SEARCH_STEPS, flat=SEARCH_FLAT, near=True)
+
+
+def _loss_without(
+    scene: Scene,
+    device: wp.Device,
+    pixels: Mapping[str, list[Observation]],
+    gains: Mapping[tuple[str, str], float],
+    loss: str,
+    held: bool,
+) -> float:
+    """The loss where nothing of the geometry moves."""
+    _, end = _descended(still(scene), device, pixels, gains, loss, held, 0.0, {})
+    return end.loss
 
 
 def _scene_at(problem: PosedProblem, x: np.ndarray, scene: Scene) -> Scene:
