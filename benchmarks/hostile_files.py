@@ -17,7 +17,8 @@ from typing import Any
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
+TESTS = Path(__file__).resolve().parent.parent / "tests"
+sys.path[:0] = [str(TESTS), str(TESTS / "formats")]
 
 CANARY = "unpickled"  # the file that a pickle would make
 FIFO, LOOP = "fifo", "loop"  # beside every sound file, for names to point at

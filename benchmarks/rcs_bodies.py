@@ -67,6 +67,12 @@ def closed_box() -> warpsar.Mesh:
     return warpsar.Mesh.of(vertices, np.array(faces))
 
 
+def closed_wide_box() -> warpsar.Mesh:
+    """The prism of III.SC without its duct."""
+    vertices, faces = _prism(WIDE_BOX, WIDE_WIDTH_M)
+    return warpsar.Mesh.of(vertices, np.array(faces))
+
+
 def cylinder_box(duct: Duct = MODEL, segments: int = SEGMENTS) -> warpsar.Mesh:
     """III.SC: the wide prism with a circular duct in its front. Raises ValueError where the duct leaves the front."""
     room = 0.5 * min(WIDE_WIDTH_M - 2 * abs(duct.right_m), WIDE_BOX[1, 1] - 2 * abs(duct.up_m))

@@ -1,6 +1,6 @@
 """How often causes of made-up differences are found together, falsely named, and covered by their intervals.
 
-    python benchmarks/reflectors_causes.py            # 60 worlds of each kind, some 3 minutes
+    python benchmarks/reflectors_causes.py            # 60 worlds of each kind, some 6 minutes of CPU time
     python benchmarks/reflectors_causes.py --worlds 10 --kinds loss three
     python benchmarks/reflectors_causes.py --hold-back  # how often intervals that are foretold hold later values
 
@@ -14,6 +14,7 @@ import argparse
 from collections.abc import Callable
 
 import numpy as np
+from scipy.special import betaincinv
 
 from warpsar.calibration.attitude import Facing, trihedral_rcs_m2
 from warpsar.calibration.explain import explain
@@ -89,13 +90,14 @@ def main() -> None:
     if given.hold_back:
         held_back(worlds, given.kinds)
         return
-    print("kind: all causes named, or tied to what is named; worlds with a cause that is not there; interval holds")
+    print("kind: all causes named, or tied to what is named; worlds with a cause that is not there (95 % bounds);")
+    print("      the interval holds; the interval over all ties holds")
     for k, (kind, (off, truth)) in enumerate(KINDS.items()):
         if kind not in given.kinds:
             continue
-        found = false = held = counted = 0
+        found = false = held = tied_held = counted = 0
         for seed in range(worlds):
-            joint = explain(world(off, np.random.default_rng([k, seed]))).joint
+            joint = explain(world(off, np.random.default_rng([k, seed, 3]))).joint
             assert joint is not None
             named = {SAME.get(one.cause.name, one.cause.name): one for one in joint.causes}
             tied = {SAME.get(one.other, one.other) for one in joint.stands}
@@ -109,8 +111,17 @@ def main() -> None:
                 at = one.cause.parameters.index(parameter)
                 counted += 1
                 held += one.low[at] <= value <= one.high[at]
-        share = f"{100 * held / counted:.0f} % of {counted}" if counted else "-"
-        print(f"{kind}: {found} of {worlds}; {false} of {worlds}; {share}", flush=True)
+                tied_held += one.tied_low[at] <= value <= one.tied_high[at]
+        shares = [f"{100 * each / counted:.0f} % of {counted}" if counted else "-" for each in (held, tied_held)]
+        bounds = f"({100 * bound(false, worlds, 0.025):.1f} to {100 * bound(false, worlds, 0.975):.1f} %)"
+        print(f"{kind}: {found} of {worlds}; {false} of {worlds} {bounds}; {'; '.join(shares)}", flush=True)
+
+
+def bound(count: int, of: int, chance: float) -> float:
+    """Of a share, one end of Clopper and Pearson's interval."""
+    if chance < 0.5:
+        return float(betaincinv(count, of - count + 1, chance)) if count else 0.0
+    return float(betaincinv(count + 1, of - count, chance)) if count < of else 1.0
 
 
 def held_back(worlds: int, kinds: list[str]) -> None:

@@ -4,7 +4,7 @@
 
 It needs SMRT 1.7 (`pip install smrt==1.7`). SMRT's model `iem_fung92` is Fung, Li and Chen (1992). Its model
 `iem_fung92_brogioni10` is the same with Fresnel's coefficients of normal incidence where kh kl > sqrt(eps). `--golden`
-writes its numbers, which tests/test_smrt.py holds the kernels against.
+writes its numbers, which tests/models/test_smrt.py holds the kernels against.
 """
 
 from __future__ import annotations

@@ -60,6 +60,7 @@ def alarms(looks: float, blur: float, repeats: int) -> int:
                     moves=np.zeros((0, SIDE, SIDE)),
                     exact=True,
                     reach_px=(0.1, 0.1),
+                    smeared=1.0,
                     sampling_noise=0.0,
                     incidence_deg=np.full((SIDE, SIDE), 40.0),
                     material=np.zeros((SIDE, SIDE), int),

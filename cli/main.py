@@ -86,7 +86,8 @@ def main() -> None:
 
     \b
     Examples:
-      warpsar simulate data/example/scene.toml -o out/example
+      warpsar new corner/ --example
+      warpsar simulate corner/scene.toml -o corner/out
       warpsar new car/ ~/models/car.obj
       warpsar learn scene.toml -o learned/
 

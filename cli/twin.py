@@ -44,7 +44,26 @@ from warpsar.formats import registry
     default="grass",
     show_default=True,
     metavar="NAME",
-    help="What the ground is: a surface of the library (`warpsar materials` lists them).",
+    help="What the ground is, where --landcover says nothing: a surface of the library (`warpsar materials` lists "
+    "them).",
+)
+@click.option(
+    "--landcover",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="GeoTIFF of land cover classes, in any coordinate system.",
+)
+@click.option(
+    "--landcover-table",
+    default="worldcover",
+    show_default=True,
+    metavar="NAME|FILE",
+    help="What its classes are: worldcover (ESA), corine, or a TOML file with [surfaces] and lines such as 10 = "
+    '"grass".',
+)
+@click.option(
+    "--buildings",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="Buildings on the DEM: GeoJSON outlines with heights, or CityGML.",
 )
 @click.option(
     "--polarization",
@@ -81,6 +100,9 @@ def command(
     geoid_offset: float | None,
     crop: tuple[float, float, float, float] | None,
     surface: str,
+    landcover: Path | None,
+    landcover_table: str,
+    buildings: Path | None,
     polarization: str | None,
     radiometry: str | None,
     formats: tuple[str, ...],
@@ -93,6 +115,7 @@ def command(
     Examples:
       warpsar twin scene.SAFE --dem dem.tif -o twin/
       warpsar twin scene.SAFE --dem dem.tif --geoid-offset 48.6 --crop 12.45 41.95 12.55 42.05 -o twin/
+      warpsar twin scene.SAFE --dem dem.tif --landcover worldcover.tif --buildings town.geojson -o twin/
     """
     from warpsar.terrain.command import run
 
@@ -100,6 +123,8 @@ def command(
     words += ["--geoid-offset", f"{geoid_offset:g}"] if geoid_offset is not None else []
     words += ["--crop", *(f"{each:.10g}" for each in crop)] if crop else []
     words += ["--surface", surface]
+    words += ["--landcover", str(landcover), "--landcover-table", landcover_table] if landcover else []
+    words += ["--buildings", str(buildings)] if buildings else []
     words += ["--polarization", polarization] if polarization else []
     words += ["--radiometry", radiometry] if radiometry else []
     words += [word for one in formats for word in ("--format", one)]
@@ -108,6 +133,9 @@ def command(
         dem,
         out,
         surface=surface,
+        landcover=landcover,
+        landcover_table=landcover_table,
+        buildings=buildings,
         crop=crop,
         geoid_offset_m=geoid_offset,
         polarization=polarization,

@@ -360,7 +360,7 @@ def sigma0_and_slopes(
     """`sigma0` and its derivatives to ln(eps_re - 1), ln h, ln l (both lengths together), logit tau: a vector of five.
 
     The terms are those of `sigma0`; their slopes are in closed form. Reverse mode would take four times the
-    instructions and three times the registers. tests/test_scattering.py holds the two together in float64.
+    instructions and three times the registers. tests/kernels/test_scattering.py holds the two together in float64.
     """
     one = type(cos_theta)(1.0)
     two = type(cos_theta)(2.0)

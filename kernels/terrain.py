@@ -29,7 +29,9 @@ class GroundFacets:
     line: wp.array(dtype=wp.float64)
     slant: wp.array(dtype=wp.float64)
     look: wp.array(dtype=wp.vec3)  # unit vector to the radar
-    cover: wp.array(dtype=int)  # of each triangle: the row of `Backscatter.sigma0`
+    cover: wp.array(dtype=int)  # of each triangle: the row of `Backscatter.sigma0`; -1: by the raster of classes
+    place: wp.array(dtype=wp.vec2)  # of each post in that raster: column and row, whole numbers are cells' corners
+    ground: int  # triangles of the ground; those after them are buildings
     forward: wp.float64  # sign of a level triangle's area in (line, slant range)
 
 
@@ -45,6 +47,7 @@ class Backscatter:
     """sigma0 (linear) of each cover at equal steps of incidence from 0 to 90 degrees: (covers, n)."""
 
     sigma0: wp.array2d(dtype=float)
+    classes: wp.array2d(dtype=int)  # (rows, columns): the row of `sigma0`
 
 
 @wp.struct
@@ -56,7 +59,7 @@ class PixelSums:
     power: wp.array2d(dtype=float)  # sigma0 times lit area [m2]
     surfaces: wp.array2d(dtype=float)  # lit pieces, each by its share of the pixel
     folded: wp.array2d(dtype=float)  # those of them whose far side is nearer to the radar
-    covered: wp.array2d(dtype=float)  # all pieces by their share, folded ones negative: 1 where there is ground
+    covered: wp.array2d(dtype=float)  # pieces of the ground by share, folded ones negative: 1 where there is ground
     place: wp.array2d(dtype=wp.int64)  # power's density at the middle (its bits) and the facet that has it; 0: none
 
 
@@ -67,6 +70,19 @@ def sigma0_at(backscatter: Backscatter, cover: int, cosine: float) -> float:
     i = wp.min(int(at), count - 2)
     share = at - float(i)
     return (1.0 - share) * backscatter.sigma0[cover, i] + share * backscatter.sigma0[cover, i + 1]
+
+
+@wp.func
+def cover_at(facets: GroundFacets, backscatter: Backscatter, f: int, weights: wp.vec3d) -> int:
+    """The row of `sigma0` at a place of a facet, by its barycentric weights."""
+    if facets.cover[f] >= 0:
+        return facets.cover[f]
+    at = wp.vec2(0.0, 0.0)
+    for corner in range(3):
+        at += float(weights[corner]) * facets.place[facets.corners[3 * f + corner]]
+    column = wp.clamp(int(wp.floor(at[0])), 0, backscatter.classes.shape[1] - 1)
+    row = wp.clamp(int(wp.floor(at[1])), 0, backscatter.classes.shape[0] - 1)
+    return backscatter.classes[row, column]
 
 
 @wp.func
@@ -208,7 +224,6 @@ def project_kernel(
         return
     look = wp.normalize(facets.look[i] + facets.look[j] + facets.look[k])
     cosine = wp.dot(doubled, look) / (2.0 * facet_m2)
-    sigma0 = sigma0_at(backscatter, facets.cover[f], cosine)
     whole = in_image(facets, i, j, k, pixel_m)
     image = area_and_middle(whole, 3)[0]
     folded = image * facets.forward < wp.float64(0.0)
@@ -239,6 +254,8 @@ def project_kernel(
                     point = float(w[0]) * a + float(w[1]) * b + float(w[2]) * c
                     lit = sees_radar(tree, point, look, clear_m, reach_m)
                 if lit:
+                    inside = weights_at(whole, found[1], found[2])
+                    sigma0 = sigma0_at(backscatter, cover_at(facets, backscatter, f, inside), cosine)
                     ground = cell * density
                     wp.atomic_add(sums.area, line, pixel, ground)
                     wp.atomic_add(sums.across, line, pixel, ground * cosine)
@@ -250,10 +267,11 @@ def project_kernel(
                     if wp.min(w[0], wp.min(w[1], w[2])) >= wp.float64(-1.0e-9):
                         bits = wp.int64(wp.cast(density * sigma0 + 1.0e-30, wp.int32))
                         wp.atomic_max(sums.place, line, pixel, (bits << wp.int64(32)) + wp.int64(f) + wp.int64(1))
-                if folded:
-                    wp.atomic_add(sums.covered, line, pixel, -share)
-                else:
-                    wp.atomic_add(sums.covered, line, pixel, share)
+                if f < facets.ground:
+                    if folded:
+                        wp.atomic_add(sums.covered, line, pixel, -share)
+                    else:
+                        wp.atomic_add(sums.covered, line, pixel, share)
             pixel += 1
 
 
@@ -274,6 +292,7 @@ def place_kernel(
     posts: PostPlaces,
     edges: PixelEdges,
     place: wp.array2d(dtype=wp.int64),
+    backscatter: Backscatter,
     pixel_m: wp.float64,
     # Out:
     longitude_out: wp.array2d(dtype=wp.float64),
@@ -281,6 +300,7 @@ def place_kernel(
     height_out: wp.array2d(dtype=float),
     incidence_out: wp.array2d(dtype=float),
     ellipsoid_incidence_out: wp.array2d(dtype=float),
+    cover_out: wp.array2d(dtype=float),
 ):
     """What lies at each pixel's middle: angles in degrees; NaN where nothing is lit."""
     line, pixel = wp.tid()
@@ -292,6 +312,7 @@ def place_kernel(
         height_out[line, pixel] = nothing
         incidence_out[line, pixel] = nothing
         ellipsoid_incidence_out[line, pixel] = nothing
+        cover_out[line, pixel] = nothing
         return
     f = int(key & wp.int64(4294967295)) - 1
     i = facets.corners[3 * f]
@@ -309,6 +330,7 @@ def place_kernel(
     here = wp.normalize(float(w[0]) * facets.look[i] + float(w[1]) * facets.look[j] + float(w[2]) * facets.look[k])
     up = wp.normalize(float(w[0]) * posts.up[i] + float(w[1]) * posts.up[j] + float(w[2]) * posts.up[k])
     ellipsoid_incidence_out[line, pixel] = wp.degrees(wp.acos(wp.clamp(wp.dot(up, here), -1.0, 1.0)))
+    cover_out[line, pixel] = float(cover_at(facets, backscatter, f, w))
 
 
 @wp.struct

@@ -52,6 +52,7 @@ def comparison(
         moves=np.zeros((0, *shape)),
         exact=True,
         reach_px=(ALLOWED_PX, ALLOWED_PX),
+        smeared=1.0,
         sampling_noise=0.0,
         incidence_deg=np.full(shape, 40.0),
         material=np.zeros(shape, int),

@@ -2,7 +2,7 @@
 
 Sources: Fung, Li and Chen 1992 (waves without phases of their own between the two places); Chen, Wu, Tsang, Li, Shi and
 Fung 2003, and Yang, Chen, Tsang and Yu 2017, equations 11 to 14 and appendices A to C (each wave with its own). Lengths
-are over k, and u and v are a wave's horizontal parts. tests/test_double.py holds the fields against those of
+are over k, and u and v are a wave's horizontal parts. tests/models/test_double.py holds the fields against those of
 scattering_reference.py.
 """
 

@@ -7,7 +7,7 @@ amplitude scattered from p0 to u is, with the heights' transform H,
 
     R(u) = R0 delta + K1 H(u - p0) + int K2 H(u - p) H(p - p0) + int int K3 H(u - p) H(p - q) H(q - p0)
 
-Matrices are (2, 2): received by sent, H before V. tests/test_perturbation.py holds them against Fresnel, Bragg,
+Matrices are (2, 2): received by sent, H before V. tests/models/test_perturbation.py holds them against Fresnel, Bragg,
 reciprocity and the phase of a surface that is moved up.
 """
 

@@ -1,4 +1,4 @@
-"""What each of several processes does in tests/test_distributed.py; the first one writes what all of them found."""
+"""What each process does in tests/runtime/test_distributed.py; the first one writes what all of them found."""
 
 import json
 import sys

@@ -282,8 +282,6 @@ class Seam:
     up_other: wp.float64
     sheet: int
     share: wp.float64
-    reach_first: wp.float64  # held: it has no derivative
-    reach_second: wp.float64
 
 
 @wp.func
@@ -292,9 +290,42 @@ def normal_of(vertices: wp.array[wp.vec3d], faces: wp.array2d[int], f: int) -> w
     return wp.normalize(wp.cross(vertices[faces[f, 1]] - p, vertices[faces[f, 2]] - p))
 
 
+@wp.kernel
+def surfaces_kernel(
+    # In:
+    vertices_in: wp.array[wp.vec3d],
+    faces_in: wp.array2d[int],
+    some_in: wp.array[int],
+    surface_in: wp.array[int],
+    # Out:
+    total_out: wp.array[wp.vec4d],
+):
+    """The faces' middles times their areas, and their areas, added up over each surface."""
+    f = some_in[wp.tid()]
+    a = vertices_in[faces_in[f, 0]]
+    b = vertices_in[faces_in[f, 1]]
+    c = vertices_in[faces_in[f, 2]]
+    area = wp.float64(0.5) * wp.length(wp.cross(b - a, c - a))
+    x = area * (a + b + c) / wp.float64(3.0)
+    wp.atomic_add(total_out, surface_in[f], wp.vec4d(x[0], x[1], x[2], area))
+
+
 @wp.func
-def edge_of(seam: Seam, vertices: wp.array[wp.vec3d], faces: wp.array2d[int]) -> Edge:
-    """The piece of an edge with its faces' directions, normals and outer angle."""
+def reach_of(total: wp.vec4d, place: wp.vec3d, into: wp.vec3d) -> wp.float64:
+    """How far a surface goes from an edge, as `Wedges.reach`, by what `surfaces_kernel` adds up."""
+    middle = wp.vec3d(total[0], total[1], total[2]) / total[3]
+    return wp.float64(2.0) * wp.max(wp.dot(middle - place, into), wp.float64(0.0))
+
+
+@wp.func
+def edge_of(
+    seam: Seam,
+    vertices: wp.array[wp.vec3d],
+    faces: wp.array2d[int],
+    surface: wp.array[int],
+    total: wp.array[wp.vec4d],
+) -> Edge:
+    """The piece of an edge with its faces' directions, normals, lengths and outer angle."""
     a = vertices[seam.first]
     way = vertices[seam.last] - a
     along = wp.normalize(way)
@@ -316,8 +347,8 @@ def edge_of(seam: Seam, vertices: wp.array[wp.vec3d], faces: wp.array2d[int]) ->
     edge.normal_second = other
     edge.outer = outer
     edge.share = seam.share
-    edge.reach_first = seam.reach_first
-    edge.reach_second = seam.reach_second
+    edge.reach_first = reach_of(total[surface[seam.face]], edge.middle, first)
+    edge.reach_second = reach_of(total[surface[seam.other]], edge.middle, second)
     return edge
 
 
@@ -328,13 +359,15 @@ def seams_kernel(
     wavenumber_in: wp.array[wp.float64],
     vertices_in: wp.array[wp.vec3d],
     faces_in: wp.array2d[int],
+    surface_in: wp.array[int],
+    total_in: wp.array[wp.vec4d],
     seam_in: wp.array[Seam],
     # Out:
     amplitude_out: wp.array3d[wp.vec2d],
 ):
     """Fringe currents of pieces of edges."""
     i, f = wp.tid()
-    edge = edge_of(seam_in[i], vertices_in, faces_in)
+    edge = edge_of(seam_in[i], vertices_in, faces_in, surface_in, total_in)
     add(amplitude_out, 0, f, diffracted(radar_in[0], wavenumber_in[f], edge))
 
 

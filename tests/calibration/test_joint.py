@@ -12,8 +12,9 @@ from warpsar.calibration.causes import causes
 from warpsar.calibration.differences import Differences, bad_dates
 from warpsar.calibration.explain import explain
 from warpsar.calibration.geolocation import geolocation
-from warpsar.calibration.joint import CauseModel, ExtraScatter, _Errors, fit_model, joint
+from warpsar.calibration.joint import CauseModel, fit_model, joint
 from warpsar.calibration.measure import ReflectorObservation
+from warpsar.calibration.scatter import ErrorCovariance, ExtraScatter
 from warpsar.calibration.turns import attitude_solutions
 
 pytestmark = pytest.mark.unit
@@ -52,7 +53,7 @@ def test_three_causes_at_once() -> None:
 
 @pytest.mark.full
 def test_nothing_is_named_where_nothing_is_off() -> None:
-    """Of 5 worlds at most one has a cause (`python benchmarks/reflectors_causes.py`: 1 of 60)."""
+    """Of 5 worlds at most one has a cause (`python benchmarks/reflectors_causes.py`: 2 of 200)."""
     assert sum(bool(joint(made(lambda n, d, a, i: 0.0, seed=k), causes).causes) for k in range(5)) <= 1
 
 
@@ -68,7 +69,7 @@ def test_what_later_dates_deny_is_no_cause() -> None:
 def test_the_errors_of_an_image_are_shared() -> None:
     """Whitening and determinant against the covariance written out: D + s 11' in each image."""
     data = made(lambda n, d, a, i: 0.0, days=2)
-    errors = _Errors(data, ExtraScatter(0.3, 0.5))
+    errors = ErrorCovariance(data, ExtraScatter(0.3, 0.5))
     whole = np.diag(data.sd**2 + 0.09) + 0.25 * (data.image[:, None] == data.image)
     white = errors.whitened(np.eye(len(data)))
     np.testing.assert_allclose(white.T @ white, np.linalg.inv(whole), rtol=1e-9, atol=1e-12)

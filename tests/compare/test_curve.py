@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import ROOT
 from scipy.stats import kstest
+from synthetic import AZIMUTH, curve, field
 
 from warpsar.compare.curve import CurveComparison, curves_beside, judge_curves
 from warpsar.curves.noise import Noise
 from warpsar.curves.observed import ObservedCurve
 from warpsar.errors import InputError
-
-sys.path.insert(0, str(ROOT / "tests" / "curves"))
-from synthetic import AZIMUTH, curve, field
 
 REPEATS = 60
 

@@ -8,6 +8,8 @@ point.py        a point target in an image: place, cross-section with an interva
 measure.py      a reflector in a product
 differences.py  measured less predicted, of all reflectors and dates
 causes.py       what may have caused it
+scatter.py      the errors of values
+chance.py       how often values without a cause look as if they had one
 joint.py        causes fitted together: what earlier dates need and later ones confirm
 turns.py        all attitudes that fit
 forecast.py     later dates foretold from earlier ones

@@ -58,6 +58,8 @@ class Cause:
     """In its parameters."""
     grid: tuple[tuple[float, ...], ...] = ()
     """Parameters among which a fit finds its start, of a curve with several hills."""
+    places: tuple[float, ...] = ()
+    """Of the last parameter, which is held: all values among which it was found."""
 
 
 ALL = ("all", 0)
@@ -301,4 +303,5 @@ def _step(i: int, name: str, data: Differences) -> Cause:
         (60.0, 60.0, best),
         lambda x, s: float(x[1]) if s.site == name else 0.0,
         level=_of_site(i),
+        places=tuple(middles.tolist()),
     )

@@ -8,7 +8,6 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import false_discovery_control
 
 from warpsar.calibration.measure import ReflectorObservation
 
@@ -22,6 +21,8 @@ NEIGHBOURS = 3
 """Values before, and after, that make the level at a date."""
 LEAST_SCATTER_DB = 0.1
 """What is known of no radar better, from date to date."""
+MOST_SCATTER_DB = 5.6
+"""Of power that is speckle alone: pi / sqrt(6) nepers."""
 SAME_PASS = float(np.cos(np.deg2rad(3.0)))
 """Looks that differ by less are of one pass."""
 FEWEST = 5
@@ -48,6 +49,8 @@ class Differences:
     """Which values come from one image."""
     least_scatter: float = LEAST_SCATTER_DB
     """What is known of no radar better, from date to date."""
+    most_scatter: float = MOST_SCATTER_DB
+    """What nothing that is measured scatters by more than."""
 
     @classmethod
     def of(cls, observations: Sequence[ReflectorObservation]) -> Differences:
@@ -84,6 +87,7 @@ class Differences:
             self.look[chosen],
             self.image[chosen],
             self.least_scatter,
+            self.most_scatter,
         )
 
     @property
@@ -184,13 +188,21 @@ def bad_dates(data: Differences) -> tuple[list[BadDate], NDArray[np.bool_]]:
     if not where:
         return [], good
     found = []
-    for k in np.flatnonzero(false_discovery_control(np.array(chance)) <= FALSE_SHARE).tolist():
+    for k in _called(np.array(chance)).tolist():
         i = where[k]
         good[i] = False
         one = data.observations[i]
         words = f"{off[k]:+.1f} dB off its level: {_weather(off[k])}"
         found.append(BadDate(one.site.name, str(one.date)[:10], off[k], far[k], words, chance[k]))
     return found, good
+
+
+def _called(chances: F64) -> NDArray[np.int64]:
+    """Which chances are small enough for `FALSE_SHARE`: up to the last one below its rank's share of it (Benjamini and
+    Hochberg, 1995)."""
+    order = np.argsort(chances)
+    below = np.flatnonzero(chances[order] <= FALSE_SHARE * np.arange(1, chances.size + 1) / chances.size)
+    return np.sort(order[: below.max(initial=-1) + 1])
 
 
 def deviations(values: F64, sd: F64, least: float) -> tuple[F64, F64]:

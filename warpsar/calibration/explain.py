@@ -7,18 +7,18 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2, norm
+from scipy.special import chdtri
 
 from warpsar.calibration.causes import Cause, Situation, causes
 from warpsar.calibration.differences import BadDate, Differences, absent, bad_dates
 from warpsar.calibration.joint import (
     ALIKE,
-    CONFIDENCE,
     JointFit,
     Trials,
     by_image,
     fits_alone,
     halves,
+    intervals,
     joint,
     together_words,
     values_words,
@@ -27,7 +27,7 @@ from warpsar.calibration.measure import ReflectorObservation
 from warpsar.calibration.turns import AttitudeSolution, attitude_solutions, attitude_words
 
 F64 = NDArray[np.float64]
-TIED = float(chi2.ppf(0.95, 1))
+TIED = float(chdtri(1.0, 0.05))
 """Squared distance of two fits in standard deviations, below which the data do not tell them apart."""
 
 
@@ -151,13 +151,9 @@ def alone(every: Trials, early: Trials | None, late: Differences | None) -> list
     if early is not None and late is not None:
         for name, fit in fits_alone(early).items():
             later[name] = float(by_image(fit, late).sum()) / len(late) - 0.5 * float(np.log(2.0 * np.pi))
-    z = float(norm.ppf(0.5 + 0.5 * CONFIDENCE))
     found = []
     for name, fit in fits_alone(every).items():
-        (cause,), (x,) = fit.model.causes, fit.values
-        (error,) = fit.model.full(np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)))
-        reach = np.where(fit.model.fixed[0], 0.0, z * error)
-        low, high = np.maximum(x - reach, cause.low), np.minimum(x + reach, cause.high)
+        ((cause, x, low, high),) = intervals(fit.model, fit.free, fit.covariance)
         found.append(
             FittedCause(
                 cause, x, low, high, fit.fitted, fit.scatter.value, fit.log_likelihood, fit.bic, later.get(name)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
+from scipy.special import stdtr, stdtrit
 
 from warpsar.calibration.causes import causes, changes
 from warpsar.calibration.differences import SAME_PASS, Differences, bad_dates
@@ -188,11 +188,11 @@ def _mixed(
     place, scale, freedom = (np.array(each) for each in (places, scales, freedoms))
 
     def quantile(chance: float) -> F64:
-        ends = student.ppf(chance, freedom) * scale + place
+        ends = stdtrit(freedom, chance) * scale + place
         low, high = ends.min(axis=0), ends.max(axis=0)
         for _ in range(HALVINGS):
             at = 0.5 * (low + high)
-            below = (share * student.cdf((at - place) / scale, freedom)).sum(axis=0) < chance
+            below = (share * stdtr(freedom, (at - place) / scale)).sum(axis=0) < chance
             low, high = np.where(below, at, low), np.where(below, high, at)
         return np.asarray(0.5 * (low + high), np.float64)
 

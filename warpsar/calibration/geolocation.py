@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from warpsar.calibration.joint import JointFit, joint, together_words
 from warpsar.calibration.measure import ReflectorObservation
@@ -87,5 +87,5 @@ def _offset(values: np.ndarray) -> GeolocationOffset:
     if count < 2:
         return GeolocationOffset(mean, float("nan"), float("nan"), float("nan"), count)
     scatter = float(values.std(ddof=1))
-    reach = float(student.ppf(0.5 + 0.5 * CONFIDENCE, count - 1)) * scatter / np.sqrt(count)
+    reach = float(stdtrit(count - 1, 0.5 + 0.5 * CONFIDENCE)) * scatter / np.sqrt(count)
     return GeolocationOffset(mean, mean - reach, mean + reach, scatter, count)

@@ -7,16 +7,18 @@ and a scatter from image to image that all reflectors of an image share. The two
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares, lsq_linear, minimize
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from warpsar.calibration.causes import Cause, Situation
+from warpsar.calibration.chance import ModelledValues, TriedCause, chance_of_gain
 from warpsar.calibration.differences import Differences
+from warpsar.calibration.scatter import ErrorCovariance, ExtraScatter
 
 F64 = NDArray[np.float64]
 CONFIDENCE = 0.9
@@ -32,15 +34,12 @@ ROUGH = 10.0
 """What a quick score on a grid may miss of a fit."""
 TOGETHER = 0.9
 """Two values whose errors are correlated by more are known together only."""
+EARLY_CHANCE, UNTESTED_CHANCE = 0.05, 0.01
+"""Of a gain as large by chance: for what later dates must confirm, and for what nothing tests."""
+CONFIRMED = float(np.log(10.0))
+"""Log-likelihood that a cause must add at later dates. Without the cause its likelihood ratio is 1 on average, as the
+earlier dates have set its value; so it exceeds 10 in at most 1 of 10 cases (Markov's inequality)."""
 CausesOf = Callable[[Differences], list[Cause]]
-
-
-@dataclass(frozen=True)
-class ExtraScatter:
-    """Standard deviations beyond clutter and noise: from value to value, and from image to image."""
-
-    value: float
-    image: float
 
 
 @dataclass(frozen=True)
@@ -125,39 +124,6 @@ class CauseFit:
         return np.asarray(np.sqrt(np.maximum(((slopes @ self.covariance) * slopes).sum(axis=1), 0.0)), np.float64)
 
 
-class _Errors:
-    """The covariance of the values: diagonal, and a constant within each image."""
-
-    def __init__(self, data: Differences, scatter: ExtraScatter) -> None:
-        self.diagonal = data.sd**2 + scatter.value**2
-        self.image, self.shared = data.image, scatter.image**2
-        self.count = int(data.image.max(initial=-1)) + 1
-        self.members = (np.arange(self.count)[:, None] == data.image).astype(np.float64)
-        self.inverse_sum = np.bincount(data.image, 1.0 / self.diagonal, self.count)
-
-    def whitened(self, values: F64) -> F64:
-        """Of values (n,) or (n, k): what has unit covariance.
-
-        Within an image D + s 11' has the inverse root D^-1/2 (1 - c D^-1/2 1 1' D^-1/2) for one c; its square is the
-        inverse (Sherman and Morrison).
-        """
-        root = 1.0 / np.sqrt(self.diagonal)
-        scaled = values * (root if values.ndim == 1 else root[:, None])
-        if self.shared == 0.0:
-            return scaled
-        total = self.inverse_sum
-        shrink = np.divide(
-            1.0 - 1.0 / np.sqrt(1.0 + self.shared * total), total, out=np.zeros_like(total), where=total > 0
-        )
-        sums = self.members @ (scaled * (root if values.ndim == 1 else root[:, None]))
-        shrunk = (sums * (shrink if values.ndim == 1 else shrink[:, None]))[self.image]
-        return np.asarray(scaled - shrunk * (root if values.ndim == 1 else root[:, None]), np.float64)
-
-    @property
-    def log_determinant(self) -> float:
-        return float(np.log(self.diagonal).sum() + np.log1p(self.shared * self.inverse_sum).sum())
-
-
 def fit_model(
     model: CauseModel, data: Differences, scatter: ExtraScatter | None = None, start: F64 | None = None
 ) -> CauseFit:
@@ -168,16 +134,16 @@ def fit_model(
     free = model.free([np.array(c.start) for c in model.causes]) if start is None else start
     scatter = scatter or ExtraScatter(max(float(np.std(data.value)), data.least_scatter), 0.0)
     for _ in range(4):
-        errors = _Errors(data, scatter)
+        errors = ErrorCovariance(data, scatter)
         if free.size:
             free = _solved(model, data, errors, free, low, high)
         before = scatter
         scatter = _scatters(data, data.value - model.curve(free, data), _slopes(model, data, free), scatter)
         if max(abs(scatter.value - before.value), abs(scatter.image - before.image)) < 0.02 * data.least_scatter:
             break
-    errors = _Errors(data, scatter)
+    errors = ErrorCovariance(data, scatter)
     slopes = errors.whitened(_slopes(model, data, free)) if free.size else np.zeros((len(data), 0))
-    covariance = np.asarray(np.linalg.pinv(slopes.T @ slopes, rcond=1e-8), np.float64)
+    covariance = _covariance(slopes)
     fitted = model.curve(free, data)
     likelihood = _log_likelihood(data.value - fitted, errors)
     counted = model.counted + 1 + (scatter.image > 0.0)
@@ -186,12 +152,26 @@ def fit_model(
     )
 
 
-def _log_likelihood(residual: F64, errors: _Errors) -> float:
+def intervals(model: CauseModel, free: F64, covariance: F64) -> list[tuple[Cause, F64, F64, F64]]:
+    """Of each cause: its values, and both ends of their 90 % intervals; of what is held, the value itself."""
+    z, made = float(ndtri(0.5 + 0.5 * CONFIDENCE)), []
+    errors = model.full(np.sqrt(np.maximum(np.diag(covariance), 0.0)))
+    for cause, x, held, error in zip(model.causes, model.full(free), model.fixed, errors, strict=True):
+        reach = np.where(held, 0.0, z * error)
+        made.append((cause, x, np.maximum(x - reach, cause.low), np.minimum(x + reach, cause.high)))
+    return made
+
+
+def _covariance(white_slopes: F64) -> F64:
+    return np.asarray(np.linalg.pinv(white_slopes.T @ white_slopes, rcond=1e-8), np.float64)
+
+
+def _log_likelihood(residual: F64, errors: ErrorCovariance) -> float:
     white = errors.whitened(residual)
     return -0.5 * float(white @ white + errors.log_determinant + residual.size * np.log(2.0 * np.pi))
 
 
-def _solved(model: CauseModel, data: Differences, errors: _Errors, free: F64, low: F64, high: F64) -> F64:
+def _solved(model: CauseModel, data: Differences, errors: ErrorCovariance, free: F64, low: F64, high: F64) -> F64:
     if all(cause.linear for cause in model.causes):
         at_zero = model.curve(np.zeros(free.size), data)
         columns = np.stack([model.curve(one, data) - at_zero for one in np.eye(free.size)], axis=-1)
@@ -226,7 +206,7 @@ def _scatters(data: Differences, residual: F64, slopes: F64, start: ExtraScatter
     least = data.least_scatter
 
     def cost(x: F64) -> float:
-        errors = _Errors(data, ExtraScatter(float(np.hypot(x[0], least)), abs(float(x[1])) if shared else 0.0))
+        errors = ErrorCovariance(data, ExtraScatter(float(np.hypot(x[0], least)), abs(float(x[1])) if shared else 0.0))
         white = errors.whitened(residual)
         total = float(white @ white) + errors.log_determinant
         if slopes.shape[1]:
@@ -256,7 +236,8 @@ class Trials:
         self.data = data
         self.causes = [cause for cause in causes if cause.physical]
         self.rivals = [cause for cause in causes if not cause.physical]
-        self._slopes: dict[str, F64] = {}
+        self._slopes: dict[tuple[str, tuple[float, ...]], F64] = {}
+        self._searched: dict[str, list[F64]] = {}
         self._curves: dict[str, F64] = {}
 
     def without(self, name: str) -> None:
@@ -267,7 +248,7 @@ class Trials:
         self, model: CauseModel, free: F64, scatter: ExtraScatter, causes: Sequence[Cause] | None = None
     ) -> list[tuple[float, CauseModel, F64]]:
         """Squared misfit plus parameters times ln n, the model with the cause, and a start for its fit; best first."""
-        data, errors = self.data, _Errors(self.data, scatter)
+        data, errors = self.data, ErrorCovariance(self.data, scatter)
         residual = errors.whitened(data.value - model.curve(free, data))
         own = errors.whitened(_slopes(model, data, free)) if free.size else np.zeros((len(data), 0))
         basis = np.linalg.qr(own)[0]
@@ -299,19 +280,32 @@ class Trials:
             found.append((misfit + more.counted * np.log(len(data)), more, start))
         return sorted(found, key=lambda one: round(one[0], 6))  # of equal ones the first that is listed
 
+    def directions(self, model: CauseModel) -> list[TriedCause]:
+        """What its last cause frees, to first order: of a step once for each date at which it may be."""
+        cause, held = model.causes[-1], np.array(model.fixed[-1])
+        counted = model.counted - CauseModel(model.causes[:-1]).counted
+        return [TriedCause(slopes[:, ~held], counted) for slopes in self._searched_of(cause)]
+
+    def _searched_of(self, cause: Cause) -> list[F64]:
+        if cause.name not in self._searched:
+            found = [self._slopes_of(replace(cause, start=(*cause.start[:-1], place))) for place in cause.places]
+            self._searched[cause.name] = found or [self._slopes_of(cause)]
+        return self._searched[cause.name]
+
     def _curves_of(self, cause: Cause) -> F64:
         if cause.name not in self._curves:
             self._curves[cause.name] = np.stack([cause.curve(np.array(x), self.data) for x in cause.grid], axis=-1)
         return self._curves[cause.name]
 
     def _slopes_of(self, cause: Cause) -> F64:
-        if cause.name not in self._slopes:
+        key = cause.name, cause.start
+        if key not in self._slopes:
             x, found = np.array(cause.start, np.float64), []
             for k in range(x.size):
                 step = np.where(np.arange(x.size) == k, 1e-4 * max(abs(x[k]), 1.0), 0.0)
                 found.append((cause.curve(x + step, self.data) - cause.curve(x - step, self.data)) / (2.0 * step[k]))
-            self._slopes[cause.name] = np.stack(found, axis=-1)
-        return self._slopes[cause.name]
+            self._slopes[key] = np.stack(found, axis=-1)
+        return self._slopes[key]
 
 
 def fits_alone(trials: Trials) -> dict[str, CauseFit]:
@@ -333,6 +327,9 @@ class JointCause:
     values: F64
     low: F64
     high: F64
+    tied_low: F64
+    tied_high: F64
+    """Ends of all its intervals, beside all that could stand for the other causes."""
     gain: float
     """Log-likelihood that it adds when it is chosen."""
     held_gain: float | None
@@ -342,11 +339,14 @@ class JointCause:
 
     def content(self) -> dict[str, object]:
         """For JSON."""
-        names = zip(self.cause.parameters, self.values, self.low, self.high, strict=True)
+        ends = self.low, self.high, self.tied_low, self.tied_high
+        keys = "value", "low", "high", "tied_low", "tied_high"
+        rows = zip(self.values, *ends, strict=True)
+        numbers = [dict(zip(keys, map(float, values), strict=True)) for values in rows]
         return {
             "cause": self.cause.name,
             "title": self.cause.title,
-            "parameters": {name: {"value": float(v), "low": float(a), "high": float(b)} for name, v, a, b in names},
+            "parameters": dict(zip(self.cause.parameters, numbers, strict=True)),
             "gain": self.gain,
             "held_gain": self.held_gain,
             "held_error": self.held_error,
@@ -408,11 +408,11 @@ def joint(
 ) -> JointFit:
     """Causes that act together, chosen one after the other.
 
-    A step takes the cause that lowers the earlier dates' BIC the most; as one is chosen among K, 2 ln K is added to
-    what it must gain (Chen and Chen, Biometrika 95(3), 2008). It stays only if the later dates, which had no say in
-    that, become more likely. What only all dates together need is added afterwards and has no `held_gain`. At the end
-    what is no longer needed goes. All is then fitted to all dates. `trials`: of all dates and of the earlier ones,
-    where they are there.
+    A step takes the cause that lowers the earlier dates' BIC the most, if made-up values without it gain as much by any
+    cause in at most `EARLY_CHANCE` of the cases (`chance_of_gain`). It stays only if the later dates, which had no say
+    in that, become more likely by `CONFIRMED`. What only all dates together need is added afterwards, at
+    `UNTESTED_CHANCE`, and has no `held_gain`. At the end what is no longer needed goes. All is then fitted to all
+    dates. `trials`: of all dates and of the earlier ones, where they are there.
     """
     early, late = halves(data)
     chosen: dict[str, F64] = {}
@@ -427,22 +427,22 @@ def joint(
     bare = fit if not model.causes else fit_model(CauseModel(()), data)
     gains: dict[str, float] = {name: gain for name, (gain, _, _) in tried.items()}
     while len(fit.model.causes) < MOST_CAUSES:
-        step = _step(fit, every)
+        step = _step(fit, every, UNTESTED_CHANCE)
         if step is None:
             break
         gains[step.model.causes[-1].name] = step.log_likelihood - fit.log_likelihood
         fit = step
     fit = _pruned(fit, data)
-    z = float(norm.ppf(0.5 + 0.5 * CONFIDENCE))
-    errors = fit.model.full(np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)))
+    stands, others = _stands(fit, every, situations)
     found = []
-    for cause, x, held, error in zip(fit.model.causes, fit.values, fit.model.fixed, errors, strict=True):
-        reach = np.where(held, 0.0, z * error)
+    for cause, x, low, high in intervals(fit.model, fit.free, fit.covariance):
         _, gain, sd = tried.get(cause.name, (0.0, None, None))
-        low, high = np.maximum(x - reach, cause.low), np.minimum(x + reach, cause.high)
-        found.append(JointCause(cause, x, low, high, gains.get(cause.name, 0.0), gain, sd))
+        ends = [(a, b) for each in others for c, _, a, b in each if c is cause]
+        lowest = np.min([low, *(np.where(b > a, a, low) for a, b in ends)], axis=0)
+        highest = np.max([high, *(np.where(b > a, b, high) for a, b in ends)], axis=0)
+        found.append(JointCause(cause, x, low, high, lowest, highest, gains.get(cause.name, 0.0), gain, sd))
     return JointFit(
-        tuple(found), tuple(_stands(fit, every, situations)), tuple(_together(fit)),
+        tuple(found), tuple(stands), tuple(_together(fit)),
         fit.scatter, fit, bare.bic - fit.bic, 0 if late is None else int(np.unique(late.days).size),
     )  # fmt: skip
 
@@ -465,14 +465,14 @@ def _confirmed(trials: Trials, late: Differences) -> tuple[dict[str, F64], dict[
     fit = fit_model(CauseModel(()), trials.data)
     found: dict[str, tuple[float, float, float]] = {}
     while len(fit.model.causes) < MOST_CAUSES:
-        step = _step(fit, trials)
+        step = _step(fit, trials, EARLY_CHANCE)
         if step is None:
             break
         # Under one scatter, which holds what neither has: else a cause is denied for another one that is missing.
         gained = by_image(step, late, fit.scatter) - by_image(fit, late, fit.scatter)
         gain = float(gained.sum())
         name = step.model.causes[-1].name
-        if gain <= 0.0:  # a cause that the later dates deny is tried no more
+        if gain <= CONFIRMED:  # it is tried no more on these dates: others like it would be confirmed by chance
             trials.without(name)
             continue
         error = float(np.sqrt(gained.size) * gained.std(ddof=1)) if gained.size > 1 else float("nan")
@@ -484,21 +484,33 @@ def _confirmed(trials: Trials, late: Differences) -> tuple[dict[str, F64], dict[
 def by_image(fit: CauseFit, late: Differences, scatter: ExtraScatter | None = None) -> F64:
     """Log-likelihood of each image of other dates, less what 2 pi adds; under the fit's own scatter, or that."""
     residual = late.value - fit.model.curve(fit.free, late)
-    errors = _Errors(late, scatter or fit.scatter)
+    errors = ErrorCovariance(late, scatter or fit.scatter)
     white = errors.whitened(residual) ** 2 + np.log(errors.diagonal)
     shared = np.log1p(errors.shared * errors.inverse_sum)
     images = np.unique(late.image)
     return -0.5 * (np.bincount(late.image, white, errors.count) + shared)[images]
 
 
-def _step(fit: CauseFit, trials: Trials) -> CauseFit | None:
-    """The model with one cause more that has the lowest BIC; None where no cause is worth its parameters."""
+def _step(fit: CauseFit, trials: Trials, allowed: float) -> CauseFit | None:
+    """The best addition, if chance alone gains as much in at most so many of the cases."""
+    found = best_addition(fit, trials)
+    return found[0] if found is not None and found[1] <= allowed else None
+
+
+def best_addition(fit: CauseFit, trials: Trials) -> tuple[CauseFit, float] | None:
+    """The model with one cause more that has the lowest BIC, and the chance of such a gain; None where BIC rises."""
     scored = trials.best(fit.model, fit.free, fit.scatter)
     if not scored:
         return None
     fits = [fit_model(model, trials.data, fit.scatter, start) for _, model, start in scored[:REFITTED]]
     best = min(fits, key=lambda one: round(one.bic, 6))
-    return best if best.bic + 2.0 * float(np.log(len(scored))) < fit.bic else None
+    if best.bic >= fit.bic:
+        return None
+    data, before = trials.data, fit.model
+    pairs = [ModelledValues(data.value - one.fitted, _slopes(one.model, data, one.free)) for one in (fit, best)]
+    tried = [each for _, model, _ in scored for each in trials.directions(model)]
+    counted = best.model.counted - before.counted
+    return best, chance_of_gain(data, fit.scatter, pairs[0], pairs[1], counted, tried)
 
 
 def _less(fit: CauseFit, cause: Cause) -> tuple[CauseModel, F64]:
@@ -522,10 +534,12 @@ def _pruned(fit: CauseFit, data: Differences) -> CauseFit:
     return fit
 
 
-def _stands(fit: CauseFit, trials: Trials, situations: Sequence[Situation]) -> list[Stand]:
-    """What could stand for each cause, the other causes being fitted anew."""
-    found = []
-    data, errors = trials.data, _Errors(trials.data, fit.scatter)
+def _stands(
+    fit: CauseFit, trials: Trials, situations: Sequence[Situation]
+) -> tuple[list[Stand], list[list[tuple[Cause, F64, F64, F64]]]]:
+    """What could stand for each cause, the other causes being fitted anew; and those other causes' intervals then."""
+    found, others = [], []
+    data, errors = trials.data, ErrorCovariance(trials.data, fit.scatter)
 
     def cost(model: CauseModel, free: F64) -> float:
         misfit = float((errors.whitened(data.value - model.curve(free, data)) ** 2).sum())
@@ -549,7 +563,8 @@ def _stands(fit: CauseFit, trials: Trials, situations: Sequence[Situation]) -> l
                 if off > apart + 1e-6:
                     apart, best = off, situation.words
             found.append(Stand(cause.name, other.name, more, best, apart))
-    return sorted(found, key=lambda one: one.bic)
+            others.append(intervals(model, free, _covariance(errors.whitened(_slopes(model, data, free)))))
+    return sorted(found, key=lambda one: one.bic), others
 
 
 def _at(model: CauseModel, free: F64, situation: Situation) -> float:
@@ -574,16 +589,25 @@ def _together(fit: CauseFit) -> list[tuple[str, str, float]]:
     ]
 
 
-def values_words(cause: Cause, values: F64, low: F64, high: F64) -> str:
-    """Parameters with intervals."""
-    rows = zip(cause.parameters, values, low, high, strict=True)
-    return ", ".join(
-        f"{name.partition(' [')[0]} {v if abs(v) > 1e-9 else 0.0:.3g}"
-        + (f" ({a:.3g} to {b:.3g})" if b > a else "")
-        + f" {name.partition('[')[2].rstrip(']')}".rstrip()
-        for name, v, a, b in rows
-        if b > a or v != 0.0
-    )
+def values_words(cause: Cause, values: F64, low: F64, high: F64, tied: tuple[F64, F64] | None = None) -> str:
+    """Parameters with intervals, and with `tied` ends where those lie well beyond."""
+    words = []
+    for name, v, a, b, c, d in zip(cause.parameters, values, low, high, *(tied or (low, high)), strict=True):
+        if b <= a and v == 0.0:
+            continue
+        ends = f"{a:.3g} to {b:.3g}" if b > a else ""
+        if d - c > 1.5 * (b - a):
+            ends += f"; {c:.3g} to {d:.3g} over all ties"
+        title, _, unit = name.partition(" [")
+        words.append(
+            f"{title} {v if abs(v) > 1e-9 else 0.0:.3g}{f' ({ends})' if ends else ''} {unit.rstrip(']')}".rstrip()
+        )
+    return ", ".join(words)
+
+
+def joint_values_words(one: JointCause) -> str:
+    """Its parameters, with both kinds of intervals."""
+    return values_words(one.cause, one.values, one.low, one.high, (one.tied_low, one.tied_high))
 
 
 def together_words(found: JointFit, unit: str = "dB") -> list[str]:
@@ -595,7 +619,7 @@ def together_words(found: JointFit, unit: str = "dB") -> list[str]:
         tested = "seen in all dates together only; no later dates tested it"
         if one.held_gain is not None:
             tested = f"the {found.held_dates} later dates confirm it (ln L {one.held_gain:+.1f})"
-        words.append(f"{one.cause.title} ({values_words(one.cause, one.values, one.low, one.high)}; {tested})")
+        words.append(f"{one.cause.title} ({joint_values_words(one)}; {tested})")
     spread = f"{found.scatter.value:.2f} {unit} are left from value to value"
     spread += f", {found.scatter.image:.2f} {unit} from image to image" if found.scatter.image else ""
     told = ["Together: " + "; ".join(words) + f". {spread}."]

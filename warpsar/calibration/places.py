@@ -12,7 +12,7 @@ from warpsar.calibration.differences import YEAR_S, Differences, images_of
 from warpsar.calibration.measure import ReflectorObservation
 
 F64 = NDArray[np.float64]
-LEAST_SCATTER_M = 0.02
+LEAST_SCATTER_M, MOST_SCATTER_M = 0.02, 50.0
 FARTHEST_M = 1e4
 
 
@@ -34,6 +34,7 @@ def offsets(observations: Sequence[ReflectorObservation], axis: int) -> Differen
         np.array([one.expected.toward_radar for one in used if one.expected is not None]).reshape(-1, 3),
         images_of(used),
         LEAST_SCATTER_M,
+        MOST_SCATTER_M,
     )
 
 

@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import toeplitz
-from scipy.stats import norm
+from scipy.special import ndtri
 
 F64 = NDArray[np.float64]
 OVERSAMPLING = 4
@@ -225,7 +225,7 @@ def measure_point(
     uneven = float(np.prod([axis.unevenness_m(h) for axis, h in zip(response, half, strict=True)]))
     cell_rcs = beating / share**2
     spread = clutter**2 * window_area * (uneven + window_area / independent) / share**2
-    z = float(norm.ppf(0.5 + 0.5 * settings.confidence))
+    z = float(ndtri(0.5 + 0.5 * settings.confidence))
     # Third cumulants: of the target in clutter 6 T q^2, as of a non-central chi-squared; of clutter alone, of a gamma.
     own = clutter**2 * window_area * uneven / share**2
     third = 6.0 * cell_rcs**2, 2.0 * own**2 / max(clutter * window_area / share, 1e-300)

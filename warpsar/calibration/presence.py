@@ -15,9 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import shift
 from scipy.optimize import brentq
-from scipy.special import digamma, polygamma
-from scipy.stats import f as fisher
-from scipy.stats import t as student
+from scipy.special import digamma, fdtrc, polygamma, stdtr, stdtrit
 
 from warpsar.calibration.differences import SAME_PASS
 from warpsar.calibration.measure import ReflectorObservation, responses, to_beta0
@@ -96,7 +94,7 @@ def rise(power: F64, looks: float, tried: float) -> tuple[int, Change, float]:
         level = (freedom * scale + own * total[before - 1] / before) / (freedom + own)
         ratio = (total[-1] - total[before - 1]) / (count - before) / level
         place = int(ratio.argmax())
-        chance = float(fisher.sf(ratio[place], 2.0 * looks * (count - before), own + freedom))
+        chance = float(fdtrc(2.0 * looks * (count - before), own + freedom, ratio[place]))
         if chance < best[1] or before == 1:
             best = place, chance
     return best[0], step_of(power[:, best[0]], looks), min(1.0, best[1] * (count - 1) * tried)
@@ -228,7 +226,7 @@ def _in_pass(cuts: Sequence[_Cut], site: ReflectorSite) -> FoundPlace | None:
     mean, count = flat.mean(axis=0), looks * len(cuts)
     freedom, scale = levels(mean, count)
     place = int(mean.argmax())
-    chance = min(1.0, tried * float(fisher.sf(mean[place] / scale, 2.0 * count, freedom)))
+    chance = min(1.0, tried * float(fdtrc(2.0 * count, freedom, mean[place] / scale)))
     if chance < FALSE_RATE:
         return _found(cuts, site, divmod(place, power.shape[2]), None, chance)
     return None
@@ -283,7 +281,7 @@ def settled(
     offsets = np.array([one.offset_m for one in same], np.float64)
     bound = np.array([point.position_sd_m for _, point in points])
     error = np.sqrt(np.maximum((bound**2).mean(axis=0), offsets.var(axis=0, ddof=1) if len(same) > 2 else 0.0))
-    reach = float(student.ppf(0.5 + 0.5 * CONFIDENCE, max(len(same) - 1, 2))) / np.sqrt(len(same))
+    reach = float(stdtrit(max(len(same) - 1, 2), 0.5 + 0.5 * CONFIDENCE)) / np.sqrt(len(same))
     half = float(error[0] * reach), float(error[1] * reach)
     latitude, longitude = places[:, :2].mean(axis=0).tolist()
     site = replace(found.site, latitude_deg=latitude, longitude_deg=longitude)
@@ -415,7 +413,7 @@ def _moved(some: Sequence[ReflectorObservation], tried: int) -> Presence | None:
         spread = np.sqrt(np.maximum((rest**2).sum(axis=0) / freedom, (bound**2).mean(axis=0)))
         step = late.mean(axis=0) - early.mean(axis=0)
         deviations = np.abs(step) / (spread * np.sqrt(1.0 / first + 1.0 / (len(used) - first)))
-        chance = float((2.0 * student.sf(deviations, freedom)).min()) * 2.0 * (len(used) - 3) * tried
+        chance = float((2.0 * stdtr(freedom, -deviations)).min()) * 2.0 * (len(used) - 3) * tried
         if best is None or chance < best[0]:
             best = chance, first, step
     if best is None or best[0] >= FALSE_RATE:

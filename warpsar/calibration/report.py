@@ -14,7 +14,7 @@ from warpsar.calibration.explain import Explanation
 from warpsar.calibration.figures import incidence_figure, map_figure, offset_figure, series_figure
 from warpsar.calibration.forecast import Forecast
 from warpsar.calibration.geolocation import Geolocation
-from warpsar.calibration.joint import values_words
+from warpsar.calibration.joint import joint_values_words, values_words
 from warpsar.calibration.measure import Cutout, ReflectorObservation
 from warpsar.calibration.table import row
 from warpsar.io import html as report
@@ -172,7 +172,7 @@ def _together(explanation: Explanation) -> str:
     for one in found.causes:
         held = "not tried" if one.held_gain is None else f"{one.held_gain:+.1f}"
         held += f" ± {one.held_error:.1f}" if one.held_error is not None and np.isfinite(one.held_error) else ""
-        words = values_words(one.cause, one.values, one.low, one.high)
+        words = joint_values_words(one)
         rows.append([one.cause.title, words, f"{one.gain:+.1f}", held])
     said = (
         "Causes are added one after the other while the earlier dates need them and the later ones, which do not "

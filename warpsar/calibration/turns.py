@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import label
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from warpsar.calibration.causes import MOST_TURN_DEG, Cause, causes
 from warpsar.calibration.differences import Differences
@@ -16,7 +16,7 @@ from warpsar.calibration.joint import JointFit
 
 F64 = NDArray[np.float64]
 STEP_DEG = 1.0
-LARGEST = float(chi2.ppf(0.9, 2))
+LARGEST = float(chdtri(2.0, 0.1))
 """Squared misfit of a turn and a tilt within their 90 % region."""
 MOST_SITES = 3
 

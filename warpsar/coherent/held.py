@@ -125,9 +125,7 @@ class Held:
                 self.program.launch(slopes.facets_kernel, (len(some), count), inputs, [self.amplitude])
         if worker.edges.shape[0] and "edges" in worker.terms:
             seen = worker.free(radars, worker.edge_middle, worker.edge_outward, both_sides=False).numpy()[0] != 0
-            seams = seams_of(body, np.pi / worker.k.max())[seen]
-            inputs = [radars, worker.wavenumbers, self.vertices, body.rays.faces, upload(seams, slopes.Seam, device)]
-            self.program.launch(slopes.seams_kernel, (len(seams), count), inputs, [self.amplitude])
+            self._seams(seams_of(body, np.pi / worker.k.max())[seen])
         if body.scatterers is not None and "rough" in worker.terms:
             seen = worker.free(radars, body.scatterer_points, body.scatterer_normals, both_sides=True).numpy()[0] != 0
             for group in body.scatterer_groups:  # those of other models are held: `learned` refuses what moves them
@@ -140,6 +138,18 @@ class Held:
                 upload(at, wp.vec2d, device),
             ]
             self.program.launch(slopes.places_kernel, (len(face), count), inputs, [self.amplitude])
+
+    def _seams(self, seams: Any) -> None:
+        """Fringe currents of pieces of edges, with the surfaces that these end."""
+        worker, body, device, program = self.worker, self.worker.body, self.worker.body.device, self.program
+        there = np.unique(body.shape.surface[np.concatenate([seams["face"], seams["other"]])])
+        some = upload(np.flatnonzero(np.isin(body.shape.surface, there)), int, device)
+        surface = upload(body.shape.surface, int, device)
+        total = program.array(int(body.shape.surface.max()) + 1, wp.vec4d, sum_into=True)
+        mesh = [self.vertices, body.rays.faces]
+        program.launch(slopes.surfaces_kernel, some.shape[0], [*mesh, some, surface], [total])
+        inputs = [self.sight.radars, worker.wavenumbers, *mesh, surface, total, upload(seams, slopes.Seam, device)]
+        program.launch(slopes.seams_kernel, (len(seams), len(worker.k)), inputs, [self.amplitude])
 
     def follow(
         self, paths: TubePaths, slot: NDArray[np.int32] | None = None
@@ -219,8 +229,6 @@ def seams_of(body: CoherentBody, longest_m: float) -> Any:
         packed[f"up_{face}"] = sign(np.cross(along, getattr(wedges, into)[which]), getattr(wedges, up)[which])
     packed["sheet"] = wedges.outer[which] > 2.0 - 1e-6
     packed["share"] = wedges.share[which]
-    middle = (wedges.end - wedges.start)[which] * ((step + 0.5) / cuts)[:, None] + wedges.start[which]
-    packed["reach_first"], packed["reach_second"] = wedges.reach(which, middle).T
     return packed
 
 

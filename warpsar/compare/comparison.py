@@ -14,7 +14,7 @@ import warp as wp
 from warpsar.compare.metrics import ImageMetrics, image_metrics
 from warpsar.compare.modelled import SURE_SDS, Modelled, modelled, sampled
 from warpsar.compare.observation import Observation, declared_looks, looks_of, observe, usable_pixels
-from warpsar.effects.registry import get
+from warpsar.effects.registry import declared, get
 from warpsar.errors import InputError
 from warpsar.runtime import console
 from warpsar.runtime.distributed.processes import ONE, Ranks, join
@@ -42,6 +42,7 @@ class Comparison:
     with `gain`. `level` [beta0]: what power outside of the interior is judged against. `usable`: finite, unmasked, off
     the image's edge. `slopes`, `moves`, `exact`, `incidence_deg` and `material` are those of `Modelled`, with the gain.
     `reach_px`: pixels by which outlines may lie off in range and in azimuth.
+    `smeared`: cells in azimuth over which effects of phase spread one point: its speckle is one draw in all of them.
     `sampling_noise`: looks x relative variance of the model that its rays leave, averaged over the interior.
     `start_m`, `spacing_m`: range and azimuth of the first pixel's outer corner about the reference point, and steps.
     """
@@ -55,6 +56,7 @@ class Comparison:
     moves: np.ndarray
     exact: bool
     reach_px: tuple[float, float]
+    smeared: float
     sampling_noise: float
     incidence_deg: np.ndarray
     material: np.ndarray
@@ -264,12 +266,20 @@ def beside(scene: Scene, view: View, polarization: str, model: Modelled) -> Comp
         moves=gain * model.moves,
         exact=model.exact,
         reach_px=(reach[0], reach[1]),
+        smeared=_smeared(scene, view),
         sampling_noise=seen.looks * float(np.mean(model.variance[seen.interior] / mu**2)),
         incidence_deg=model.incidence_deg,
         material=model.material,
         start_m=grid.start_m,
         spacing_m=grid.spacing_m,
     )
+
+
+def _smeared(scene: Scene, view: View) -> float:
+    """Cells in azimuth over which the view's effects of phase spread a point: the slope of the phase spans so many."""
+    place = np.linspace(-1.0, 1.0, 201)
+    turned = [one.effect.phase(one.values, one.settings, place) for one in declared(scene, view)]
+    return 1.0 + sum(float(np.ptp(np.gradient(one, place))) / np.pi for one in turned if one is not None)
 
 
 def _collected(scene: Scene, images: Sequence[Comparison], ranks: Ranks) -> list[Comparison]:

@@ -101,17 +101,19 @@ def edges_of(
     """How far the outlines of several images lie off.
 
     `shown`: the variance that the speckle shows, over that of its law. `correlation`: the speckle's, shape
-    (lags, lags); None where it is white.
+    (lags, lags); None where it is white. Points and edges that a phase error smears hold one draw of speckle in so many
+    cells: the variance of sums grows by as much.
     """
-    inflation = 1.0 if correlation is None else max(float((correlation**2).sum()), 1.0)
+    own = 1.0 if correlation is None else max(float((correlation**2).sum()), 1.0)
+    inflation = [own * image.smeared for image in images]
     pixels = [_Pixels.of(image, shown) for image in images]
     allowed = [float(np.max(np.array(image.reach_px) * image.spacing_m)) for image in images]
     resolved = RESOLVED_PX * float(min(images[0].spacing_m))
     each = [
-        _asked(image.name, one, granted, resolved, inflation)
-        for image, one, granted in zip(images, pixels, allowed, strict=True)
+        _asked(image.name, one, granted, resolved, times)
+        for image, one, granted, times in zip(images, pixels, allowed, inflation, strict=True)
     ]
-    together = _asked("all images together", _Pixels.joined(pixels), max(allowed), resolved, inflation)
+    together = _asked("all images together", _Pixels.joined(pixels), max(allowed), resolved, max(inflation))
     return EdgeDisplacements(each, together)
 
 

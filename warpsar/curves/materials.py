@@ -4,6 +4,7 @@ Each hypothesis changes the material of one part. Its model is asked like a term
 pay for it beside the declared one, the test curves must gain by two standard errors, with the noise of the train
 curves, and neither polarization may lose by two standard errors. It must also be likelier than a constant level. A part
 may be `open`, too: nothing is known then of what comes back from it but a level, which its area in sight multiplies.
+Where an opening may take a share of a part, its hypotheses differ by the share, and the likeliest one is asked.
 """
 
 from __future__ import annotations
@@ -26,6 +27,8 @@ MODEL = "model"
 """The one term of a curve beside a hypothesis: the sum of all that it has."""
 Kind = Literal["declared", "metal", "dielectric", "open"]
 Outcome = Literal["named", "tied", "refused"]
+ALIKE = 0.01
+"""2 ln L: what differs by less is the same, as the mirror images of a body in its plane of symmetry."""
 _LEVELS_DB = (-60.0, 10.0)
 """Where the level of an open part is sought, over its area in sight."""
 
@@ -38,6 +41,8 @@ class MaterialHypothesis:
     kind: Kind
     curves: tuple[ObservedCurve, ...]
     eps_r: float | None = None
+    share: float = 1.0
+    """Of an open part: the rest of it sends back what is declared."""
     parameters: int = 0
     """Fitted ones, which the train curves must pay for."""
 
@@ -88,7 +93,7 @@ def opened(hypothesis: MaterialHypothesis, area_m2: Sequence[NDArray[np.float64]
 
 
 def ask_materials(declared: MaterialHypothesis, others: Sequence[MaterialHypothesis]) -> list[MaterialTest]:
-    """The answers for each part and kind, likeliest first; hypotheses that differ by eps_r alone are one question."""
+    """The answers for each part and kind, likeliest first; those that differ by eps_r or share are one question."""
     groups: dict[tuple[str, str], list[MaterialHypothesis]] = {}
     for one in others:
         groups.setdefault((one.part, one.kind), []).append(one)
@@ -128,9 +133,10 @@ def _ask(
     interval = None
     parameters = chosen.parameters
     if len(group) > 1:
+        parameters += 1
+    if len(group) > 1 and chosen.eps_r is not None:
         axis = np.array([float(one.eps_r or 1.0) for one in group])
         interval = profiles({"eps_r": axis}, np.array(told))["eps_r"]
-        parameters += 1
     price = (1 + parameters) * float(np.log(max(independent(train), 2.0)))
     gain = told[best] - own
     after = _noise(chosen)
@@ -173,7 +179,7 @@ def _with_ties(
     for i in standing[1:]:
         rows = [a - b for a, b in zip(asked[first][2], asked[i][2], strict=True)]
         ahead, error = _by_blocks(asked[first][1], rows)
-        if ahead <= ERRORS * error:
+        if ahead <= max(ERRORS * error, ALIKE):
             tied.append(i)
         else:
             found[i] = replace(found[i], outcome="refused", why=f"{found[first].part}, {found[first].kind} is likelier")

@@ -13,11 +13,13 @@ from numpy.typing import NDArray
 from warpsar.coherent.directions import Directions
 from warpsar.coherent.joints import joints
 from warpsar.coherent.rcs import rcs
+from warpsar.curves.lids import lids
 from warpsar.curves.materials import MODEL, Kind, MaterialHypothesis, MaterialTest, ask_materials, opened
 from warpsar.curves.observe import observe
 from warpsar.curves.observed import ObservedCurve
 from warpsar.runtime import console
 from warpsar.scene.scene import Scene
+from warpsar.world.frame import SPEED_OF_LIGHT
 from warpsar.world.tables import Material
 
 SOLIDS = (2.0, 2.5, 3.0, 4.0, 6.0)
@@ -26,6 +28,8 @@ LOSS_TANGENT = 0.03
 """Of a solid that is tried: of resins and plastics, 0.005 to 0.05. One value, since curves hardly tell it apart."""
 TERMS = ("single", "edges", "multibounce")
 """Of every hypothesis, whatever is declared: physics has them all. `diagnosis.curves` then asks which of them show."""
+SHARES = (0.25, 0.5, 0.75, 1.0)
+"""Of a flat part, which an opening may take."""
 PER_DIRECTION = 3.0
 """Rows for an independent direction: two hold all that there is (Nyquist), and each costs a sweep of every material."""
 _ABSORBER = 1.0 + 1e-6
@@ -37,15 +41,17 @@ def ask(
 ) -> list[MaterialTest]:
     """Which part of the body shows another material than the declared one, likeliest first.
 
-    `parts` are materials of the mesh; without them all, but for those that the radar never sees first.
+    `parts` are materials of the mesh; without them all, but for those that the radar never sees first. A closed body of
+    one material is also asked whether one of its flat parts is open.
     """
+    whole = parts is None and len(scene.mesh.materials) == 1
     if parts is None:
         parts = [name for name in scene.materials if len(scene.materials) == 1 or _seen(scene, name, device)]
     closed = bool((joints(scene.mesh.vertices, scene.mesh.faces).other >= 0).all())
     wanted = [(name, kind, eps) for name in parts for kind, eps in _alternatives(scene.materials[name], closed)]
-    bar = console.progress(len(wanted) + 1, "materials", "material")
     declared = MaterialHypothesis("", "declared", _curves(scene, cache, device))
-    bar.update()
+    cuts = list(_with_lids(scene, declared.curves)) if whole and closed else []  # nobody said where an opening may be
+    bar = console.progress(len(wanted) + len(cuts), "materials", "material")
     others = []
     for name, kind, eps in wanted:
         one = MaterialHypothesis(name, kind, _curves(_changed(scene, name, kind, eps), cache, device), eps)
@@ -53,8 +59,36 @@ def ask(
             one = opened(one, [_area(scene, name, curve) for curve in one.curves])
         others.append(one)
         bar.update()
+    for cut, name in cuts:
+        area = [_area(cut, name, curve) for curve in declared.curves]
+        gone = _curves(_changed(cut, name, "open", None), cache, device)
+        for share in SHARES:
+            rest = tuple(_between(*pair, share) for pair in zip(declared.curves, gone, strict=True))
+            others.append(opened(MaterialHypothesis(name, "open", rest, share=share), area))
+        bar.update()
     bar.close()
     return ask_materials(declared, others)
+
+
+def _between(declared: ObservedCurve, gone: ObservedCurve, share: float) -> ObservedCurve:
+    return declared.beside({MODEL: (1.0 - share) * declared.terms[MODEL] + share * gone.terms[MODEL]})
+
+
+def _with_lids(scene: Scene, curves: Sequence[ObservedCurve]) -> Iterator[tuple[Scene, str]]:
+    """For each flat part that an opening may lie behind, the scene that has it as a part, and the part's name."""
+    mesh, (material,) = scene.mesh, scene.mesh.materials
+    looks = np.concatenate([Directions.of(one.azimuth_deg, one.incidence_deg).s for one in curves])
+    shortest = SPEED_OF_LIGHT / max(one.frequency_hz for one in curves)
+    for faces in lids(mesh, looks, (shortest / 4.0) ** 2):  # a quarter of a wavelength: nothing enters what is narrower
+        corners = mesh.vertices[mesh.faces[faces]]
+        low, high = (np.round(end, 3) + 0.0 for end in (corners.min(axis=(0, 1)), corners.max(axis=(0, 1))))  # no -0
+        ends = zip("xyz", low, high, strict=True)
+        name = f"{material} ({', '.join(f'{axis} {low:.3f} to {high:.3f}' for axis, low, high in ends)} m)"
+        of = mesh.face_material.copy()
+        of[faces] = 1
+        cut = replace(mesh, face_material=of, materials=(material, name))
+        same = scene.materials[material]
+        yield replace(scene, mesh=cut, materials={**scene.materials, name: same}), name
 
 
 def with_material(scene: Scene, found: MaterialTest) -> Scene:

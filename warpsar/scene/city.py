@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,12 @@ MERCATOR = ("EPSG:3857", "EPSG:3395")
 MOST_STRETCH = 0.02
 """Twenty times what UTM and the grids of countries stretch a length by."""
 _BURIED_M = 0.5  # walls begin below the ground, so that no gap shows on a slope
+
+
+class Ground(Protocol):
+    """Heights [m] at places (n, 2)."""
+
+    def at(self, points: NDArray[np.float64]) -> NDArray[np.float64]: ...
 
 
 @dataclass(frozen=True)
@@ -62,6 +69,62 @@ def mesh_of(path: Path, dem: Path | None) -> tuple[Mesh, Origin]:
     World metres are azimuthal equidistant about the origin. Heights count from the ground at the origin; without an
     elevation model the ground is level, and every building stands on it. Raises InputError.
     """
+    found = plan_of(path)
+    terrain, base = _terrain(found.extent_m, dem, found.local_crs)
+    made = _Made()
+    made.ground(terrain)
+    made.outlines(found, terrain)
+    made.surfaces(found, base if dem is not None else None)
+    latitude, longitude = round(found.latitude_deg, 8), round(found.longitude_deg, 8)
+    return made.mesh(), Origin(latitude_deg=latitude, longitude_deg=longitude, height_m=round(base, 3))
+
+
+def mesh_on(path: Path, ground: Callable[[TownPlan], Ground]) -> tuple[Mesh, TownPlan, NDArray[np.int32]]:
+    """Buildings alone, on a ground of the caller's, and the building that each vertex belongs to.
+
+    Vertices are metres of `TownPlan.local_crs`. Of outlines they have the ground's heights; those of surfaces are the
+    file's own. An outline where the ground has no height (NaN) is left out. Raises InputError where none is left.
+    """
+    found = plan_of(path)
+    made = _Made()
+    made.outlines(found, ground(found))
+    made.surfaces(found, 0.0)
+    if not made.vertices:
+        count = len(found.buildings.found)
+        raise InputError(f"{path}: none of its {count} buildings lies where the ground has heights; must overlap")
+    return made.mesh(), found, np.array(made.building, np.int32)
+
+
+@dataclass(frozen=True)
+class TownPlan:
+    """Buildings in metres east and north of their middle: azimuthal equidistant, `local_crs`."""
+
+    buildings: Buildings
+    rings: list[list[Ring]]
+    """Of each outline; none where the file has surfaces."""
+    polygons: list[list[list[Ring]]]
+    """Of each building of surfaces."""
+    latitude_deg: float
+    longitude_deg: float
+
+    @property
+    def local_crs(self) -> str:
+        return f"+proj=aeqd +lat_0={self.latitude_deg} +lon_0={self.longitude_deg} +datum=WGS84 +units=m"
+
+    @property
+    def extent_m(self) -> NDArray[np.float64]:
+        """The least and the greatest x and y, (2, 2)."""
+        all_of = [*self.rings, *(rings for polygons in self.polygons for rings in polygons)]
+        flat = np.concatenate([ring[:, :2] for rings in all_of for ring in rings])
+        return np.stack([flat.min(axis=0), flat.max(axis=0)])
+
+    def geodetic(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Longitude and latitude [deg] of places (n, 2)."""
+        return _moved(self.local_crs, "EPSG:4326", points)
+
+
+def plan_of(path: Path) -> TownPlan:
+    """The buildings of a file about their middle. Raises InputError."""
     buildings = _whole(path, footprints.read(path))
     flat = np.concatenate([ring[:, :2] for ring in _rings(buildings)])
     with geotiff.projecting(path):
@@ -72,35 +135,24 @@ def mesh_of(path: Path, dem: Path | None) -> tuple[Mesh, Origin]:
         longitude, latitude = _moved(buildings.crs, "EPSG:4326", (flat.min(axis=0) + flat.max(axis=0))[None] / 2.0)[0]
     if not np.isfinite([longitude, latitude]).all():
         raise InputError(f"{path}: found x, y of {flat[0, 0]:g}, {flat[0, 1]:g}; must lie where {buildings.crs} holds")
-    local = f"+proj=aeqd +lat_0={latitude} +lon_0={longitude} +datum=WGS84 +units=m"
+    found = TownPlan(buildings, [], [], float(latitude), float(longitude))
     with geotiff.projecting(path):
-        moved = iter(np.split(_moved(buildings.crs, local, flat), np.cumsum([len(r) for r in _rings(buildings)])[:-1]))
-    outlines = [[next(moved) for _ in one.rings] for one in buildings.found if isinstance(one, Outline)]
-    surfaces = [
-        [[np.column_stack([next(moved), ring[:, 2]]) for ring in rings] for rings in one.polygons]
-        for one in buildings.found
-        if isinstance(one, Surfaces)
-    ]
-    plan = np.concatenate([ring[:, :2] for one in [*outlines, *(p for s in surfaces for p in s)] for ring in one])
+        plan = _moved(buildings.crs, found.local_crs, flat)
+    moved = iter(np.split(plan, np.cumsum([len(r) for r in _rings(buildings)])[:-1]))
+    for one in buildings.found:
+        if isinstance(one, Outline):
+            found.rings.append([next(moved) for _ in one.rings])
+        else:
+            heights = [[ring[:, 2] for ring in rings] for rings in one.polygons]
+            found.polygons.append([[np.column_stack([next(moved), z]) for z in rings] for rings in heights])
     if np.ptp(plan, axis=0).max() > 1e5:
         raise InputError(
             f"{path}: found buildings over {np.ptp(plan, axis=0).max() / 1e3:.0f} km; must be within 100 km"
         )
-    terrain, base = _terrain(plan, dem, local)
-    made = _Made()
-    made.ground(terrain)
-    for one, rings in zip(buildings.found, outlines, strict=False):
-        assert isinstance(one, Outline)
-        made.prism(rings, one.height_m or footprints.UNKNOWN_M, terrain)
-    for one, polygons in zip(buildings.found, surfaces, strict=False):
-        assert isinstance(one, Surfaces)
-        lowest = min(float(ring[:, 2].min()) for rings in polygons for ring in rings)
-        made.solid(polygons, one.kinds, base if dem is not None else lowest)
     _say(path, buildings, latitude, longitude)
     if not geographic and buildings.crs not in MERCATOR:
         _check_stretch(path, buildings, flat, plan, (latitude, longitude))
-    origin = Origin(latitude_deg=round(latitude, 8), longitude_deg=round(longitude, 8), height_m=round(base, 3))
-    return made.mesh(), origin
+    return found
 
 
 def _whole(path: Path, buildings: Buildings) -> Buildings:
@@ -178,9 +230,9 @@ def _moved(source: str, target: str, points: NDArray[np.float64]) -> NDArray[np.
     return np.column_stack(transform(*known, points[:, 0], points[:, 1]))
 
 
-def _terrain(plan: NDArray[np.float64], dem: Path | None, local: str) -> tuple[Terrain, float]:
+def _terrain(extent: NDArray[np.float64], dem: Path | None, local: str) -> tuple[Terrain, float]:
     """The ground under the buildings, and the height [m] at the origin, which becomes zero."""
-    low, high = plan.min(axis=0) - MARGIN_M, plan.max(axis=0) + MARGIN_M
+    low, high = extent[0] - MARGIN_M, extent[1] + MARGIN_M
     if dem is None:
         x, y = (np.array([a, b]) for a, b in zip(low, high, strict=True))
         return Terrain(x, y, np.zeros((2, 2))), 0.0
@@ -225,10 +277,13 @@ class _Made:
         self.vertices: list[NDArray[np.float64]] = []
         self.faces: list[NDArray[np.int32]] = []
         self.owner: list[int] = []
+        self.building: list[int] = []
+        self.now = -1
         self.count = 0
 
     def add(self, name: str, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> None:
         self.vertices.append(vertices)
+        self.building += [self.now] * len(vertices)
         self.faces.append((faces + self.count).astype(np.int32))
         self.owner += [NAMES.index(name)] * len(faces)
         self.count += len(vertices)
@@ -240,9 +295,23 @@ class _Made:
         vertices = np.column_stack([x.ravel(), y.ravel(), terrain.z.ravel()])
         self.add("ground", vertices, np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]))
 
-    def prism(self, rings: list[Ring], height: float, terrain: Terrain) -> None:
+    def outlines(self, plan: TownPlan, ground: Ground) -> None:
+        for self.now, (one, rings) in enumerate(zip(plan.buildings.found, plan.rings, strict=False)):
+            assert isinstance(one, Outline)
+            self.prism(rings, one.height_m or footprints.UNKNOWN_M, ground)
+
+    def surfaces(self, plan: TownPlan, zero_m: float | None) -> None:
+        """Heights count from `zero_m`; None: from each building's lowest point."""
+        for self.now, (one, polygons) in enumerate(zip(plan.buildings.found, plan.polygons, strict=False)):
+            assert isinstance(one, Surfaces)
+            lowest = min(float(ring[:, 2].min()) for rings in polygons for ring in rings)
+            self.solid(polygons, one.kinds, lowest if zero_m is None else zero_m)
+
+    def prism(self, rings: list[Ring], height: float, terrain: Ground) -> None:
         """Upright walls and a flat roof, `height` above the mean ground at the outline."""
         foot = terrain.at(rings[0])
+        if not np.isfinite(foot).all():
+            return
         top = float(foot.mean()) + height
         flat = np.concatenate(rings)
         self.add("roofs", np.column_stack([flat, np.full(len(flat), top)]), _triangles(rings))

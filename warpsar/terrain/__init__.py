@@ -2,6 +2,9 @@
 
 datum.py         from the heights of a file to heights above the ellipsoid
 elevation.py     an elevation model: read in windows, placed on the earth
+landcover.py     classes of land cover become surfaces of the library
+buildings.py     buildings on the elevation model
+scenery.py       surfaces, land cover and buildings together
 blocks.py        a product's window in blocks of bounded size
 ground.py        the facets of a block, in lines and slant ranges
 projection.py    facets into pixels and cells of the map, on the device

@@ -23,17 +23,21 @@ from warpsar.simulation.materials import sigma0_db
 from warpsar.simulation.outputs import make_folder, write_json
 from warpsar.terrain import files
 from warpsar.terrain.blocks import Box
+from warpsar.terrain.buildings import placed
 from warpsar.terrain.comparison import TerrainComparison, compared
 from warpsar.terrain.elevation import Elevation
 from warpsar.terrain.figures import comparison_figure, image_figure, map_figure
+from warpsar.terrain.landcover import LandCover, table_of
 from warpsar.terrain.report import comparison_words, write_report
 from warpsar.terrain.result import SimulatedProduct, simulated
+from warpsar.terrain.scenery import Scenery
 from warpsar.terrain.summary import summary
 from warpsar.world.library.fill import material
 from warpsar.world.library.surfaces import SURFACES
 
 F64 = NDArray[np.float64]
 SURFACE = "grass"
+LANDCOVER_TABLE = "worldcover"
 ANGLES_DEG = np.linspace(0.0, 90.0, 361)
 STEEPEST_DEG, SHALLOWEST_DEG = 1.0, 89.0
 """Backscatter models are asked between; beyond, they have the outer values."""
@@ -45,6 +49,9 @@ def twin(
     dem: PathLike[str] | str,
     *,
     surface: str = SURFACE,
+    landcover: PathLike[str] | str | None = None,
+    landcover_table: str = LANDCOVER_TABLE,
+    buildings: PathLike[str] | str | None = None,
     crop: Box | None = None,
     geoid_offset_m: float | None = None,
     polarization: str | None = None,
@@ -56,9 +63,10 @@ def twin(
 
     `product`: a file, a SAFE folder, or a product that is open. `dem`: a GeoTIFF of heights [m]. Where it does not say
     above what they are, or PROJ lacks the grid from there to the ellipsoid, `geoid_offset_m` is added to all of them.
-    `surface`: one of the library, everywhere. `crop`: west, south, east, north [deg]; without it all that the DEM
-    covers. `polarization` chooses an image where a product has several. `radiometry` says what power is where the
-    product does not: "beta0", "sigma0" or "gamma0".
+    `surface`: one of the library, where `landcover` says nothing. `landcover`: a GeoTIFF of classes, which become
+    surfaces by `landcover_table`: "worldcover", "corine", or a TOML file. `buildings`: GeoJSON or CityGML. `crop`:
+    west, south, east, north [deg]; without it all that the DEM covers. `polarization` chooses an image where a product
+    has several. `radiometry` says what power is where the product does not: "beta0", "sigma0" or "gamma0".
 
     Facets of the ground are brought to zero Doppler by the orbit and cut by the pixels, so their areas are exact. A ray
     from each piece to the radar says whether it is lit. beta0 is the sum of sigma0 times lit area over the pixel's area
@@ -73,8 +81,15 @@ def twin(
         opened = replace(opened, radiometry=radiometry)
     _ = opened.required_orbit  # before the elevation model is read
     elevation = Elevation.read(Path(dem), geoid_offset_m)
-    table = surface_sigma0(surface, opened)[None, :]
-    return simulated(opened, elevation, table, surface, crop, where)
+    surfaces = [surface]
+    cover = built = None
+    if landcover is not None:
+        cover = LandCover.read(Path(landcover), table_of(landcover_table), surfaces, surface)
+    if buildings is not None:
+        built = placed(Path(buildings), elevation, surfaces)
+        elevation = replace(elevation, highest_m=max(elevation.highest_m, built.highest_m))
+    sigma0 = np.stack([surface_sigma0(name, opened) for name in surfaces])
+    return simulated(opened, elevation, Scenery(tuple(surfaces), sigma0, cover, built), crop, where)
 
 
 def surface_sigma0(surface: str, product: Product) -> F64:
@@ -124,6 +139,9 @@ def run(
     out: Path,
     *,
     surface: str = SURFACE,
+    landcover: Path | None = None,
+    landcover_table: str = LANDCOVER_TABLE,
+    buildings: Path | None = None,
     crop: Box | None = None,
     geoid_offset_m: float | None = None,
     polarization: str | None = None,
@@ -144,6 +162,9 @@ def run(
         product,
         dem,
         surface=surface,
+        landcover=landcover,
+        landcover_table=landcover_table,
+        buildings=buildings,
         crop=crop,
         geoid_offset_m=geoid_offset_m,
         polarization=polarization,
@@ -163,7 +184,7 @@ def run(
     written += list(drawn)
     source = Path(found.product.source)
     content = {
-        "input": {"scene": source.name, "sha256": _digest(source, dem)},
+        "input": {"scene": source.name, "sha256": _digest(source, dem, *filter(None, (landcover, buildings)))},
         **files.facts(found),
         "window": {"lines": list(found.window.lines), "pixels": list(found.window.pixels)},
         "map_shape": list(next(iter(found.map.values())).shape),
@@ -175,6 +196,7 @@ def run(
             "crop": crop,
             "geoid_offset_m": geoid_offset_m,
             "radiometry": radiometry,
+            "landcover_table": landcover_table,
             "formats": list(formats),
         },
     }
@@ -185,10 +207,10 @@ def run(
     return content
 
 
-def _digest(source: Path, dem: Path) -> str:
-    """Of the annotation, or of the image file, and of the elevation model, one after the other."""
+def _digest(*paths: Path) -> str:
+    """Of the annotation, or of the image file, and of what else was read, one after the other."""
     total = hashlib.sha256()
-    for path in (source, dem):
+    for path in paths:
         with path.open("rb") as file:
             while piece := file.read(2**20):
                 total.update(piece)

@@ -42,7 +42,10 @@ def facts(found: SimulatedProduct) -> dict[str, Any]:
         "vertical_datum": found.elevation.datum.words,
         "first_line": found.window.lines[0],
         "first_pixel": found.window.pixels[0],
-        "surface": found.surface,
+        "surface": found.scenery.surfaces[0],
+        "surfaces": " ".join(found.scenery.surfaces),
+        "landcover": "none" if found.scenery.landcover is None else found.scenery.landcover.path.name,
+        "buildings": "none" if found.scenery.buildings is None else found.scenery.buildings.path.name,
         "pixels": found.pixels,
         "software": f"warpsar {__version__}",
     }
@@ -96,6 +99,10 @@ def image_dataset(found: SimulatedProduct) -> xarray.Dataset:
     import xarray
 
     variables = {name: _variable(("line", "pixel"), values, of_image(name)) for name, values in found.image.items()}
+    if "cover" in variables:
+        surfaces = found.scenery.surfaces
+        flags = {"flag_values": np.arange(len(surfaces), dtype=np.float32), "flag_meanings": " ".join(surfaces)}
+        variables["cover"] = (*variables["cover"][:2], {**variables["cover"][2], **flags})
     places = {name: variables.pop(name) for name in ("longitude", "latitude")}
     axes = {
         name: ((name,), np.arange(*ends), {"long_name": f"{name} of the product, from 0", "units": "1"})
@@ -131,7 +138,7 @@ def map_dataset(found: SimulatedProduct) -> xarray.Dataset:
     return xarray.Dataset(variables, axes, {"Conventions": "CF-1.11", **facts(found)})
 
 
-def _variable(dimensions: tuple[str, str], values: np.ndarray, layer: Layer) -> tuple[Any, np.ndarray, dict[str, str]]:
+def _variable(dimensions: tuple[str, str], values: np.ndarray, layer: Layer) -> tuple[Any, np.ndarray, dict[str, Any]]:
     attributes = {"long_name": layer.words, "units": layer.unit}
     if layer.standard_name is not None:
         attributes["standard_name"] = layer.standard_name

@@ -1,4 +1,4 @@
-"""The ground that one block of a product may show: posts in lines and slant ranges, and facets between them."""
+"""What one block of a product may show: posts of the ground in lines and slant ranges, facets, and buildings."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from warpsar.products.product import Product
 from warpsar.products.zero_doppler import abeam, axes_up, locate
 from warpsar.terrain.blocks import ImageBlock
 from warpsar.terrain.elevation import Elevation
+from warpsar.terrain.scenery import Scenery
 from warpsar.world.earth import LocalEarth, geodetic_to_ecef
 
 F64 = NDArray[np.float64]
@@ -46,6 +47,14 @@ class GroundPosts:
     """(rows - 1, columns - 1): the first of the two facets between four posts; -1 for none."""
     turned: bool
     """Whether facets have their corners in the other order than the raster has: its rows run north, or columns west."""
+    ground_facets: int
+    """Facets of the ground; those after them are of buildings."""
+    cover: NDArray[np.int32]
+    """(m,): the row of sigma0 of each facet; -1 where `classes` says it."""
+    class_place: F64
+    """(n, 2): column and row of each post in `classes`; whole numbers are corners of cells."""
+    classes: NDArray[np.int32]
+    """(rows, columns): the row of sigma0."""
 
     def cells(self, rows: F64, columns: F64) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.int64]]:
         """On which facet places of a grid of rows (a,) and columns (b,) of the elevation model lie.
@@ -69,7 +78,7 @@ class GroundPosts:
         return (first + ~upper).astype(np.int32), weights, which
 
 
-def ground_of(product: Product, elevation: Elevation, block: ImageBlock) -> GroundPosts | None:
+def ground_of(product: Product, elevation: Elevation, block: ImageBlock, scenery: Scenery) -> GroundPosts | None:
     """None where the elevation model has no data there."""
     found = elevation.window(block.rows, block.columns)
     rows, columns = found.height.shape
@@ -101,20 +110,37 @@ def ground_of(product: Product, elevation: Elevation, block: ImageBlock) -> Grou
     )
     orbit = product.required_orbit
     time, slant = abeam(orbit, point, float(middle), TOLERANCE_S)
+    cover = np.full(len(facets), scenery.ground_row, np.int32)
+    classes, class_place = scenery.classes_at(geodetic)
+    built = None if scenery.buildings is None else scenery.buildings.within(block.rows, block.columns)
+    ground_facets = len(facets)
     origin = LocalEarth(*geodetic.mean(axis=0))
     centre = geodetic_to_ecef(np.array([origin.latitude_deg, origin.longitude_deg, origin.height_m]))
-    local = (point - centre) @ origin.axes.T
-    look = (orbit.at(time)[0] - point) / slant[:, None] @ origin.axes.T
-    a, b, c = (local[facets[0, i], :2] for i in range(3))
+    a, b, c = ((point[facets[0, i]] - centre) @ origin.axes.T for i in range(3))
     turned = bool(_around(a, b, c) < 0.0)
     if turned:
         facets = facets[:, ::-1]
+    if built is not None:
+        facets = np.concatenate([facets, built.faces + len(point)])
+        cover = np.concatenate([cover, built.row])
+        geodetic, class_place = (
+            np.concatenate([geodetic, built.geodetic]),
+            np.pad(class_place, ((0, len(built.geodetic)), (0, 0))),
+        )
+        corners = geodetic_to_ecef(built.geodetic)
+        time, slant = (
+            np.concatenate(pair)
+            for pair in zip((time, slant), abeam(orbit, corners, float(middle), TOLERANCE_S), strict=True)
+        )
+        point = np.concatenate([point, corners])
+    local = (point - centre) @ origin.axes.T
+    look = (orbit.at(time)[0] - point) / slant[:, None] @ origin.axes.T
     line = block.grid.line(time, slant) - (block.window.lines[0] - block.grid_line)
     start = float(slant.mean())
     return GroundPosts(
         local, geodetic, line, slant - start, look, axes_up(geodetic) @ origin.axes.T,
         np.ascontiguousarray(facets, np.int32), origin, start, _forward(product, block.grid, float(middle), start),
-        (found.row, rows, found.column, columns), cell, turned,
+        (found.row, rows, found.column, columns), cell, turned, ground_facets, cover, class_place, classes,
     )  # fmt: skip
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-Kind = Literal["power", "angle", "share", "count", "length", "area", "place"]
+Kind = Literal["power", "angle", "share", "count", "length", "area", "place", "class"]
 
 
 @dataclass(frozen=True)
@@ -30,6 +30,7 @@ IN_IMAGE = (
         "incidence", "degree", "local incidence, of what is seen at the pixel's middle", "angle", "angle_of_incidence"
     ),
     Layer("ellipsoid_incidence", "degree", "incidence on the ellipsoid there", "angle"),
+    Layer("cover", "1", "number of the surface at the pixel's middle, in the file's `surfaces`, from 0", "class"),
     Layer("layover", "1", "share of the pixel in which several surfaces lie over each other", "share"),
     Layer("shadow", "1", "share of the pixel that no lit surface fills", "share"),
     Layer("surfaces", "1", "number of lit surfaces in the pixel, mean over its area", "count"),

@@ -48,6 +48,8 @@ class BlockPixels:
     height: F32
     incidence: F32
     ellipsoid_incidence: F32
+    cover: F32
+    """Row of sigma0 there."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +71,6 @@ class BlockProjection:
         self,
         ground: GroundPosts,
         edges_m: F64,
-        cover: NDArray[np.int32],
         sigma0: F64,
         spacing_m: float,
         device: wp.Device,
@@ -89,11 +90,17 @@ class BlockProjection:
             line=wp.array(ground.line, dtype=wp.float64, device=device),
             slant=wp.array(ground.slant_m, dtype=wp.float64, device=device),
             look=wp.array(ground.look, dtype=wp.vec3, device=device),
-            cover=wp.array(cover, dtype=int, device=device),
+            cover=wp.array(ground.cover, dtype=int, device=device),
+            place=wp.array(ground.class_place, dtype=wp.vec2, device=device),
+            ground=ground.ground_facets,
             forward=ground.forward,
         )
         self._edges = fill(PixelEdges, slant=wp.array(edges, dtype=float, device=device))
-        self._backscatter = fill(Backscatter, sigma0=wp.array(sigma0, dtype=float, device=device))
+        self._backscatter = fill(
+            Backscatter,
+            sigma0=wp.array(sigma0, dtype=float, device=device),
+            classes=wp.array(ground.classes, dtype=int, device=device),
+        )
         self._pixel_m = float(np.abs(np.diff(edges[0])).mean())
         extent = np.ptp(ground.point_m, axis=0)
         self._reach_m = float(np.linalg.norm(extent)) + 1.0
@@ -118,16 +125,17 @@ class BlockProjection:
             height=wp.array(geodetic[:, 2], dtype=wp.float64, device=self.device),
             up=wp.array(self._ground.up, dtype=wp.vec3, device=self.device),
         )
-        seen = [wp.empty(self.shape, dtype=kind, device=self.device) for kind in (wp.float64,) * 2 + (float,) * 3]
+        seen = [wp.empty(self.shape, dtype=kind, device=self.device) for kind in (wp.float64,) * 2 + (float,) * 4]
         wp.launch(
-            place_kernel, dim=self.shape, inputs=[self._facets, posts, self._edges, place, self._pixel_m],
+            place_kernel, dim=self.shape, 
+            inputs=[self._facets, posts, self._edges, place, self._backscatter, self._pixel_m],
             outputs=seen, device=self.device,
         )  # fmt: skip
-        longitude, latitude, height, incidence, ellipsoid = (self._straight(each.numpy()) for each in seen)
+        longitude, latitude, height, incidence, ellipsoid, cover = (self._straight(each.numpy()) for each in seen)
         area, across, power, surfaces, folded, covered = (self._straight(found[name].numpy()) for name in names)
         return BlockPixels(
             area, across, power, surfaces, folded, covered, longitude + origin.longitude_deg,
-            latitude + origin.latitude_deg, height, incidence, ellipsoid,
+            latitude + origin.latitude_deg, height, incidence, ellipsoid, cover,
         )  # fmt: skip
 
     def cells(self, facet: NDArray[np.int32], weights: F32) -> BlockCells:

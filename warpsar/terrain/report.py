@@ -20,7 +20,7 @@ SAID = {
     "comparison.png": "Cells of the measured and the simulated image, and what is left, less its median",
 }
 LIMITS = (
-    "One bounce, one surface of the library everywhere. No buildings, trees or water, and no speckle.",
+    "One bounce, surfaces of the library at their median levels. No trees, and no speckle.",
     "Places are those of orbit and annotation. Atmosphere, tides and the product's own timing are not corrected.",
     "At the near edge of the elevation model nothing throws a shadow from outside of it.",
     "A ray to the radar starts at the middle of each piece of a facet: borders of shadow are right to about half a "
@@ -47,8 +47,8 @@ def write_report(
     facts = [
         (name.replace("_", " "), str(content[name]))
         for name in (
-            *("platform", "polarization", "frequency_hz", "look_side", "elevation_model", "vertical_datum", "surface"),
-            *("pixels", "first_line", "first_pixel"),
+            *("platform", "polarization", "frequency_hz", "look_side", "elevation_model", "vertical_datum", "surfaces"),
+            *("landcover", "buildings", "pixels", "first_line", "first_pixel"),
         )
     ]
     sections = [

@@ -22,6 +22,7 @@ from warpsar.terrain.blocks import Box, ImageBlock, ImageWindow, blocks_of, wind
 from warpsar.terrain.elevation import Elevation
 from warpsar.terrain.ground import edges_of, ground_of
 from warpsar.terrain.projection import BlockPixels, BlockProjection
+from warpsar.terrain.scenery import Scenery
 
 F64 = NDArray[np.float64]
 LEAST_COVER = 0.99
@@ -47,8 +48,7 @@ class SimulatedProduct:
     map: dict[str, np.ndarray]
     """(rows, columns) each."""
     map_place: AffinePlace
-    surface: str
-    """Of the library."""
+    scenery: Scenery
     pixels: str
     """What the product's own pixels are; why there are none."""
     blocks: int = 1
@@ -63,15 +63,13 @@ class SimulatedProduct:
 def simulated(
     product: Product,
     elevation: Elevation,
-    sigma0: F64,
-    surface: str,
+    scenery: Scenery,
     crop: Box | None,
     device: wp.Device,
 ) -> SimulatedProduct:
     """The layers of the part of `product` that `elevation` covers, or of `crop` of it.
 
-    `sigma0`, (covers, n): linear, at equal steps of incidence from 0 to 90 degrees. Raises InputError where the
-    product does not show the elevation model.
+    Raises InputError where the product does not show the elevation model.
     """
     window = window_of(product, elevation, crop)
     blocks = list(blocks_of(product, elevation, window))
@@ -82,9 +80,12 @@ def simulated(
     rows = min(b.rows[0] for b in blocks), max(b.rows[1] for b in blocks)
     columns = min(b.columns[0] for b in blocks), max(b.columns[1] for b in blocks)
     pixels, words = _pixels(product, window)
-    canvas = _Canvas(product, elevation, window, rows, columns, fine, noise=_has_noise(product), measured=pixels)
+    canvas = _Canvas(
+        product, elevation, window, rows, columns, fine, noise=_has_noise(product), measured=pixels,
+        cover=len(scenery.surfaces) > 1,
+    )  # fmt: skip
     bar = console.progress(len(blocks), "twin", "block")
-    tasks = [partial(canvas.fill, block, sigma0, device) for block in blocks]
+    tasks = [partial(canvas.fill, block, scenery, device) for block in blocks]
     for _ in ordered(tasks, device):
         bar.update()
     bar.close()
@@ -99,7 +100,7 @@ def simulated(
         canvas.image,
         canvas.map,
         AffinePlace(elevation.crs, place),
-        surface,
+        scenery,
         words,
         len(blocks),
     )
@@ -153,13 +154,14 @@ class _Canvas:
         *,
         noise: bool,
         measured: bool,
+        cover: bool,
     ) -> None:
         self.product, self.elevation, self.window = product, elevation, window
         self.rows, self.columns, self.fine = rows, columns, fine
         self.map_top = self.map_left = 0
         single = ["beta0", "sigma0", "gamma0", "incidence", "ellipsoid_incidence", "layover", "shadow", "surfaces"]
         single += ["area_beta", "area_sigma", "area_gamma", "height"]
-        single += ["noise"] * noise + ["measured"] * measured
+        single += ["noise"] * noise + ["measured"] * measured + ["cover"] * cover
         mapped = ["beta0", "sigma0", "gamma0", "incidence", "layover", "shadow", "surfaces"]
         mapped += ["measured", "measured_gamma0"] * measured
         shape = (rows[1] - rows[0]) * fine, (columns[1] - columns[0]) * fine
@@ -170,14 +172,13 @@ class _Canvas:
         self.map = {name: _room(shape, np.float32, large) for name in mapped}
         self.map |= {name: _room(shape, np.float64, large) for name in ("line", "pixel")}
 
-    def fill(self, block: ImageBlock, sigma0: F64, device: wp.Device) -> None:
-        ground = ground_of(self.product, self.elevation, block)
+    def fill(self, block: ImageBlock, scenery: Scenery, device: wp.Device) -> None:
+        ground = ground_of(self.product, self.elevation, block, scenery)
         if ground is None:
             return
         edges = edges_of(block.grid, _lines(block), block.window.pixels)
-        cover = np.zeros(len(ground.facets), np.int32)
         spacing = min(self.elevation.spacing_m)
-        projection = BlockProjection(ground, edges, cover, sigma0, spacing, device)
+        projection = BlockProjection(ground, edges, scenery.sigma0, spacing, device)
         found = self._fill_image(block, projection.pixels(), edges)
         rows, columns = (
             first - 0.5 + (np.arange((last - first) * self.fine) + 0.5) / self.fine
@@ -234,6 +235,7 @@ class _Canvas:
                 "longitude": found.longitude,
                 "latitude": found.latitude,
                 "height": found.height,
+                "cover": found.cover,
             }
             if "noise" in self.image or "measured" in self.image:
                 made |= self._radiometry(block, line, pixel, found, beta_area)

@@ -34,6 +34,7 @@ from warpsar.diagnosis.turn.sensor_search import Hypothesis, screened_sensor, se
 from warpsar.diagnosis.turn.settings import resettled
 from warpsar.diagnosis.turn.shortlist import by_rank, refits
 from warpsar.effects.registry import get
+from warpsar.errors import InputError
 from warpsar.learning.pose_search import FoundPoses
 from warpsar.runtime import console, once
 from warpsar.runtime.deadline import TimeUp, deadline
@@ -137,8 +138,13 @@ class Search:
 
     def _left(self, scene: Scene) -> bool:
         """Whether the train views hold structure, or a deviance that even ground does not have, and not at edges: no
-        law of backscatter moves an outline."""
-        found = set(self._judge.judgement(self._judge(scene, "train")).findings)
+        law of backscatter moves an outline. A fit may have left all ground to a noise floor: then there is none to ask.
+        """
+        try:
+            images = self._judge(scene, "train")
+        except InputError:
+            return False
+        found = set(self._judge.judgement(images).findings)
         return bool(once.decide(float("edges" not in found and bool({"structure", "level"} & found))))
 
     def final(self) -> Fitted:

@@ -1,0 +1,348 @@
+"""`warpsar diagnose --folds`: what stays is what views say that were left out."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from warpsar import Scene, simulate
+from warpsar.cli.main import main
+from warpsar.compare.prediction import advantage, predictions, summaries
+from warpsar.diagnosis.held_out.arcs import folds
+from warpsar.diagnosis.held_out.box import as_box
+from warpsar.diagnosis.held_out.geometry import WIDE, likeliest, minimum, numbers, profiled
+from warpsar.diagnosis.held_out.kept import scene_content, scene_of
+from warpsar.diagnosis.held_out.search import GEOMETRY, FoldSearch, held_out
+from warpsar.diagnosis.run_log import RunLog, open_run_log
+from warpsar.errors import InputError
+from warpsar.measured.chips import import_chips
+from warpsar.runtime import devices
+from warpsar.world.mesh import Mesh
+from warpsar.world.obj import write_obj
+from warpsar.world.objects.shapes import body
+from warpsar.world.objects.table import Object
+from warpsar.world.tables import View
+
+SCENE = """
+[scene]
+reference_point_m = [0.0, 0.0, 0.0]
+[radar]
+frequency_hz = 9.6e9
+polarizations = ["HH"]
+[image]
+shape = [52, 52]
+spacing_m = [0.3, 0.3]
+calibrated = false
+[sampling]
+rays_per_pixel = 16.0
+[materials.ground]
+eps_r = 6.0
+rms_height_m = 0.004
+correlation_length_m = 0.004
+learn = []
+[materials.metal]
+eps_r = 40.0
+rms_height_m = 0.003
+correlation_length_m = 0.006
+learn = ["rms_height_m"]
+[effects.aim_point]
+reach_m = 1.2
+[[objects]]
+name = "ground"
+primitive = "plate"
+size_m = [40.0, 40.0, 0.0]
+material = "ground"
+[[objects]]
+name = "body"
+primitive = "box"
+size_m = [5.0, 2.5, 2.0]
+material = "metal"
+learn = ["size"]
+tolerance = { size_m = "10 %" }
+"""
+
+
+def views(count: int, role: str = "train", first_deg: float = 0.0) -> str:
+    angles = first_deg + np.arange(count) * 360.0 / count
+    return "".join(
+        f'[[views]]\nname = "{role}{k}"\nazimuth_deg = {a}\nincidence_deg = 60.0\nrole = "{role}"\n'
+        for k, a in enumerate(angles)
+    )
+
+
+def measured(folder: Path, *, height_m: float = 2.0, floor: float = 0.004) -> Scene:
+    """Twelve train views and six test views of a box with a noise floor, each shifted by up to three pixels, of one
+    look."""
+    path = folder / "scene.toml"
+    path.write_text(SCENE + views(12) + views(6, "test", 7.0))
+    declared = Scene.load(path)
+    (folder / "true.toml").write_text(
+        path.read_text().replace("2.5, 2.0]", f"2.5, {height_m}]") + f"[effects.noise_floor]\nlevel = {floor}\n"
+    )
+    random = np.random.default_rng(1)
+    images = simulate(Scene.load(folder / "true.toml"), device="cpu", seed=5)
+    seen = []
+    for view, image in zip(declared.views, images, strict=True):
+        power = image.beta0["HH"] * random.gamma(1.0, 1.0, image.beta0["HH"].shape) * random.uniform(1e3, 3e3)
+        moved = np.roll(power, random.integers(-3, 4, 2), (0, 1)).astype(np.float32)
+        stated = view.model_dump(by_alias=True, exclude_unset=True)
+        seen.append(View.model_validate({**stated, "images": {"HH": moved}, "looks": 1.0}))
+    return Scene(**{**_fields(declared), "views": seen})
+
+
+def _fields(scene: Scene) -> dict[str, object]:
+    return {name: getattr(scene, name) for name in scene.__dataclass_fields__ if scene.__dataclass_fields__[name].init}
+
+
+@pytest.mark.unit
+def test_views_are_left_out_in_arcs() -> None:
+    some = [View(name=f"v{k}", azimuth_deg=10.0 * k, incidence_deg=60.0) for k in range(36)]
+    parts = folds(some, 3)
+    assert sorted(name for part in parts for name in part) == sorted(view.name for view in some)
+    assert parts[0][:4] == ["v0", "v1", "v2", "v3"]
+    assert [len(part) for part in parts] == [12, 12, 12]
+    with pytest.raises(InputError, match="--folds 20: found 36 train views; must be 40 or more"):
+        folds(some, 20)
+
+
+@pytest.mark.unit
+def test_a_profile_that_is_not_even_has_its_minimum_where_it_is() -> None:
+    """Of x^2 + 0.4 x^3 about 0.3, by five places: a parabola would be off by 0.03."""
+    places = np.linspace(-0.7, 1.3, 5)
+    loss = (places - 0.3) ** 2 + 0.4 * (places - 0.3) ** 3
+    assert minimum(places.tolist(), loss.tolist()) == pytest.approx(0.3, abs=1e-3)
+
+
+@pytest.mark.unit
+def test_the_interval_is_that_of_the_scatter() -> None:
+    """Views that like places about 1 with a scatter of 0.2: 36 of them tell their mean to 0.2 / 6, and what is known
+    draws it as one more measurement does."""
+    likes = 1.0 + 0.2 * np.random.default_rng(0).normal(size=36)
+    places = np.linspace(0.0, 2.0, 7)
+    losses = 0.5 * (places[:, None] - likes) ** 2
+    found, sd, half = likeliest(places.tolist(), losses, np.zeros(7))
+    assert found == pytest.approx(likes.mean(), abs=1e-6)
+    assert sd == pytest.approx(likes.std(ddof=1) / 6.0, rel=0.5)
+    assert half > 2.0 * sd
+    pulled, *_ = likeliest(places.tolist(), losses, 0.5 * 36.0 * (places - 0.5) ** 2)
+    assert pulled == pytest.approx(0.5 * (likes.mean() + 0.5), abs=1e-6)
+
+
+@pytest.mark.unit
+def test_numbers_are_those_with_a_tolerance(tmp_path: Path) -> None:
+    path = tmp_path / "scene.toml"
+    path.write_text(
+        SCENE.replace('learn = ["size"]', 'learn = ["size", "heading"]').replace(
+            'polarizations = ["HH"]',
+            'polarizations = ["HH"]\nlearn = ["azimuth_deg"]\ntolerance = { azimuth_deg = 3.0 }',
+        )
+        + views(2)
+    )
+    scene = Scene.load(path)
+    found = numbers(scene)
+    assert [one.label for one in found] == ["views.azimuth_deg", "body.height", "body.width", "body.length"]
+    assert [one.sd for one in found] == pytest.approx([3.0, 0.2, 0.25, 0.5])
+    turned = found[0].moved(scene, 2.0)
+    assert [view.azimuth_deg for view in turned.views] == [2.0, 182.0]
+    assert found[0].now(turned) == pytest.approx(2.0)
+    assert found[1].now(found[1].moved(scene, 0.3)) == pytest.approx(2.3)
+
+
+@pytest.mark.unit
+def test_a_profile_goes_on_beyond_its_end(tmp_path: Path) -> None:
+    """The losses of twelve views are least at a height of 2.6 m, three standard deviations above the known one; the
+    first places end at 2.24 m."""
+    path = tmp_path / "scene.toml"
+    path.write_text(SCENE + views(2))
+    scene = Scene.load(path)
+    height = next(one for one in numbers(scene) if one.label == "body.height")
+    likes = 2.6 + 0.02 * np.random.default_rng(0).normal(size=12)
+    found, by = profiled(height, scene, WIDE, lambda change: (height.now(change(scene)) - likes) ** 2, weight=1e4)
+    assert len(found.places) == len(WIDE)
+    assert found.value == pytest.approx(2.6, abs=0.02)
+    assert height.now(height.moved(scene, by)) == pytest.approx(found.value)
+    assert found.half > 0.0
+    # what falls as far as anybody looks is known to no better than a step
+    end, _ = profiled(height, scene, WIDE, lambda change: np.full(12, -height.now(change(scene))), weight=1e4)
+    assert end.half >= end.places[-1] - end.places[-2]
+
+
+@pytest.mark.unit
+def test_a_body_as_a_box_stands_where_it_stood(tmp_path: Path) -> None:
+    """A wedge, 6 x 2 x 1 m and off its file's origin, heading 30 degrees and rolled: the box has its extents, hull and
+    material, and its sizes are free."""
+    corners = [(a, b, c) for a in (-0.5, 1.5) for b in (1.0, 7.0) for c in (0.2, 1.2)]
+    (tmp_path / "wedge.obj").write_text(
+        "".join(f"v {a} {b} {c}\n" for a, b, c in corners) + "f 1 3 7\nf 1 7 5\nf 2 6 8\nf 2 8 4\nf 1 2 3\n"
+    )
+    text = SCENE.replace('primitive = "box"', 'mesh = "wedge.obj"').replace("size_m = [5.0, 2.5, 2.0]\n", "")
+    text = text.replace('learn = ["size"]', 'learn = ["scale", "heading"]').replace(
+        "tolerance = { size_m", "tolerance = { scale"
+    )
+    path = tmp_path / "scene.toml"
+    path.write_text(text + "position_m = [3.0, -2.0, 0.0]\nheading_deg = 30.0\nroll_deg = 4.0\n" + views(2))
+    scene = Scene.load(path)
+    boxed = as_box(scene, "body")
+    one = boxed.objects[1]
+    assert one.size_m == pytest.approx((6.0, 2.0, 1.0))
+    assert one.material == "metal"
+    assert scene.assembly is not None
+    assert boxed.assembly is not None
+    wedge, box = scene.assembly.vertices_of(scene.objects[1]), boxed.assembly.vertices_of(one)
+    np.testing.assert_allclose(box.min(axis=0), wedge.min(axis=0), atol=1e-6)
+    np.testing.assert_allclose(box.max(axis=0), wedge.max(axis=0), atol=1e-6)
+    assert {"body.height", "body.width", "body.length"} <= {number.label for number in numbers(boxed)}
+    again = scene_of(scene, scene_content(scene, boxed))
+    np.testing.assert_array_equal(again.mesh.vertices, boxed.mesh.vertices)
+
+
+@pytest.mark.full
+def test_a_floor_and_a_height_are_found(tmp_path: Path) -> None:
+    """A box 12 % higher than declared, over a floor that nobody declared, in twelve views of one look. A search that
+    goes on from all entries of its checkpoint but the last eight ends as one that never stopped."""
+    scene, device = measured(tmp_path, height_m=2.24), devices.resolve_device("cpu")
+    log = RunLog(tmp_path, "this run")
+    found = held_out(scene, device, 2, log)
+    assert "noise_floor" in found.held
+    assert GEOMETRY in found.held
+    height = found.profiles["body.height"]
+    assert height.value == pytest.approx(2.24, abs=max(height.half, 0.1))
+    before, after = (np.mean(list(each.values())) for each in (found.before, found.after))
+    assert after < before
+    assert after == pytest.approx(1.0, abs=0.15)
+    level = found.final.effects["noise_floor"]["level"]
+    assert level == pytest.approx(0.004, rel=0.5)
+
+    stored = open_run_log(tmp_path, "this run", True).entries
+    assert len(stored) == len(log.entries)
+    resumed = RunLog(entries=stored[:-8])
+    again = held_out(scene, device, 2, resumed)
+    assert json.dumps(resumed.entries) == json.dumps(stored)
+    for key in ("steps", "after", "profiles", "held"):
+        assert getattr(again, key) == getattr(found, key), key
+    assert again.final.effects == found.final.effects
+
+
+@pytest.mark.full
+def test_a_mesh_that_says_no_more_than_a_box_is_not_this_body(tmp_path: Path) -> None:
+    """Views of a truck 6 m long: its own mesh predicts those left out better than a box of its size does, and a mesh of
+    a box does not."""
+    truck = Object(primitive="truck", size_m=(6.0, 2.5, 2.6), cabin=0.4, material="metal")
+    ahead = {}
+    for name, one in {"truck": truck, "box": truck.model_copy(update={"primitive": "box", "cabin": None})}.items():
+        made = body(one)
+        write_obj(tmp_path / f"{name}.obj", Mesh(made.vertices, made.faces, np.zeros(len(made.faces), np.int32)))
+        text = SCENE.replace('primitive = "box"', f'mesh = "{name}.obj"').replace("size_m = [5.0, 2.5, 2.0]\n", "")
+        text = text.replace('learn = ["size"]', 'learn = ["scale", "heading"]')
+        (tmp_path / "scene.toml").write_text(text.replace("tolerance = { size_m", "tolerance = { scale") + views(12))
+        declared = Scene.load(tmp_path / "scene.toml")
+        if name == "truck":
+            powers = [image.beta0["HH"] for image in simulate(declared, device="cpu", seed=5)]
+        random = np.random.default_rng(1)
+        seen = [
+            View.model_validate(
+                {
+                    **view.model_dump(by_alias=True, exclude_unset=True),
+                    "images": {"HH": (power * random.gamma(1.0, 1.0, power.shape)).astype(np.float32)},
+                    "looks": 1.0,
+                }
+            )
+            for view, power in zip(declared.views, powers, strict=True)
+        ]
+        search = FoldSearch(
+            Scene(**{**_fields(declared), "views": seen}), devices.resolve_device("cpu"), 2, lambda: None
+        )
+        model = search._surely_fitted([search.start] * 2)
+        boxed = search._boxed(model)
+        assert boxed is not None
+        lead = advantage(search._images({"model": model.scenes, "box": boxed.scenes}), rivals=("box",))
+        assert lead is not None
+        ahead[name] = lead.ahead
+    assert ahead["truck"]
+    assert not ahead["box"]
+
+
+@pytest.mark.full
+def test_time_that_is_over_leaves_the_first_model(tmp_path: Path) -> None:
+    late = held_out(measured(tmp_path), devices.resolve_device("cpu"), 2, time_limit_s=0.0)
+    assert late.not_asked == ["whether another effect is missing"]
+    assert late.before == late.after
+
+
+@pytest.mark.full
+def test_the_commands_end_in_a_prediction(tmp_path: Path) -> None:
+    """`diagnose --folds`, then `evaluate`: its test views beside the rivals, each at its own aim point."""
+    (tmp_path / "in").mkdir()
+    measured(tmp_path).save(tmp_path / "in" / "scene.toml")
+    run = CliRunner().invoke(
+        main, ["diagnose", str(tmp_path / "in" / "scene.toml"), "-o", str(tmp_path / "out"), "--folds", "2"]
+    )
+    assert run.exit_code in (0, 4), run.output
+    assert "found: noise_floor" in run.output
+    assert (tmp_path / "out" / "report.html").stat().st_size > 10_000
+    run = CliRunner().invoke(
+        main,
+        [
+            "evaluate",
+            str(tmp_path / "out" / "scene.toml"),
+            "-o",
+            str(tmp_path / "ev"),
+            "--before",
+            str(tmp_path / "in" / "scene.toml"),
+        ],
+    )
+    assert run.exit_code == 0, run.output
+    assert "correlation" in run.output
+    assert (tmp_path / "ev" / "evaluate.json").read_text().count('"nearest"') > 1
+
+
+@pytest.mark.unit
+def test_options_of_tests_are_refused_beside_folds(tmp_path: Path) -> None:
+    (tmp_path / "scene.toml").write_text(SCENE)
+    words = ["diagnose", str(tmp_path / "scene.toml"), "-o", str(tmp_path / "o"), "--folds", "3", "--draws", "500"]
+    run = CliRunner().invoke(main, words)
+    assert run.exit_code == 2
+    assert "--draws: not with --folds" in run.output
+
+
+@pytest.mark.unit
+def test_nothing_to_go_on_from_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "scene.toml").write_text(SCENE + views(6))
+    words = ["diagnose", str(tmp_path / "scene.toml"), "-o", str(tmp_path / "o"), "--folds", "3", "--resume"]
+    run = CliRunner().invoke(main, words)
+    assert run.exit_code == 2
+    assert f"--resume: found no checkpoint in {tmp_path / 'o'}" in run.output
+
+
+@pytest.mark.measured
+@pytest.mark.full
+def test_measured_chips_come_with_roles_and_rivals(tmp_path: Path, measured_data: Path) -> None:
+    """Every sixth chip of the example's vehicle: its declared model is further from the test chips than a picture of
+    the nearest train chip, and says so."""
+    folder = measured_data / "mstar_btr70"
+    example = Path(__file__).resolve().parents[2] / "examples" / "measured" / "btr70" / "scene.toml"
+    path = tmp_path / "scene.toml"
+    path.write_text(example.read_text().replace("vehicle.obj", str(folder / "BTR70.obj")))
+    done = import_chips(
+        sorted((folder / "chips").glob("*.jpeg"))[::6],
+        path,
+        folder / "views.csv",
+        quantity="amplitude",
+        radar_at="bottom",
+        spacing_m=(0.202148, 0.203125),
+        scale="unknown",
+        train=20,
+        held_back=[(85.0, 115.0), (205.0, 235.0), (315.0, 345.0)],
+    )
+    scene = Scene.load(path)
+    assert sum(view.role == "train" for view in scene.views) == 20
+    assert len(done.views) == len(scene.views)
+    found = predictions({"model": scene}, devices.resolve_device("cpu"))
+    means = {row.prediction: row.correlation for row in summaries(found) if row.in_sector}
+    assert 0.7 < means["model"] < means["nearest"] < 0.9
+    assert means["mean"] < means["model"]
+    one = advantage(found)
+    assert one is not None
+    assert not one.ahead
