@@ -19,7 +19,7 @@ from warpsar.learning.options import LearnOptions
 from warpsar.learning.pose import PosedProblem
 from warpsar.learning.pose_pixels import FLOOR_SHARE, compared
 from warpsar.learning.pose_search import find_poses, group_pose
-from warpsar.learning.pose_sharing import boxes, columns_of, shared
+from warpsar.learning.pose_sharing import boxes, columns_of, faces_about, shared
 from warpsar.learning.posed_images import render_elsewhere
 from warpsar.learning.problem import FitProblem
 from warpsar.runtime import devices
@@ -506,6 +506,30 @@ def test_a_box_holds_all_that_a_move_changes() -> None:
     change = np.abs(exact_images(up, CPU)["v0"]["HH"] - exact_images(down, CPU)["v0"]["HH"])
     assert (change - place.alone(change)).max() < 1e-6 * change.max()
     assert change.max() > 0
+
+
+def test_faces_elsewhere_change_nothing_of_a_move() -> None:
+    """The difference that a move makes is the same without the faces that lie elsewhere across the look direction."""
+    far = Object(name="far", primitive="box", size_m=(2.0, 2.0, 2.0), position_m=(-8.0, 9.0, 0.0), material="body")
+    scene = measured(scene_with(CAR, sides=SIDES[:1], learn=("position",)))
+    scene = with_objects(scene, [*scene.objects, far])
+    problem = problem_of(scene, 0.0)
+    inner, rest = problem.split(problem.x0)
+    label = scene.objects[0].label
+    faces = faces_about(scene, inner.views[0].view, {label})
+    assert 0.2 < faces.mean() < 1.0
+    ends = [problem.geometry.stepped(inner.scene, np.zeros(3), t * np.eye(3)[0]) for t in (2e-3, -2e-3)]
+    whole, part = (
+        np.subtract(
+            *(
+                render_elsewhere(inner, inner.views[0], rest, end, None, some).before_image["HH"].numpy().astype(float)
+                for end in ends
+            )
+        )
+        for some in (None, faces)
+    )
+    np.testing.assert_allclose(part, whole, atol=1e-5 * np.abs(inner.modelled(rest)[0]).max())
+    assert np.abs(whole).max() > 0.0
 
 
 def test_effects_that_carry_power_share_nothing() -> None:

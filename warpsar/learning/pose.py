@@ -13,7 +13,7 @@ import warp as wp
 from warpsar.compare.observation import Observation
 from warpsar.learning.geometry import Geometry
 from warpsar.learning.identify import Identified, of_information, score_products
-from warpsar.learning.pose_sharing import Box, boxes, columns_of, shared
+from warpsar.learning.pose_sharing import Box, boxes, columns_of, faces_about, shared
 from warpsar.learning.posed_images import render_elsewhere, without_paths
 from warpsar.learning.prior import Known, Prior
 from warpsar.learning.problem import FitProblem
@@ -227,10 +227,12 @@ class PosedProblem:
         bodies = [body for body in (coordinates[k].body for k in group) if body is not None]
         own = None if places is None or not bodies else [places[body] for body in bodies]
         band = None if own is None else columns_of(own)
-        above, below = (
-            render_elsewhere(problem, view, rest, self.geometry.at(p + s * step), band, paths=not self.rough)
+        faces = None if own is None else faces_about(problem.scene, view.view, set(bodies))
+        ends = [
+            self.geometry.stepped(problem.scene, p, s * step) if bodies else self.geometry.at(p + s * step)
             for s in (1.0, -1.0)
-        )
+        ]
+        above, below = (render_elsewhere(problem, view, rest, end, band, faces, paths=not self.rough) for end in ends)
         for (polarization, pixels, _), found in zip(view.compared, into, strict=True):
             if not bodies:
                 up, down = (one.images[polarization].numpy()[pixels].astype(float) for one in (above, below))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +14,8 @@ from warpsar.world.tables import View
 from warpsar.world.world import geometry_of
 
 MARGIN = 2  # pixels about an object's own
-WIDTHS = 2.6  # full widths at half maximum, beyond which a Gaussian is under 1e-8: nothing to an image of float32
+BESIDE_M = 0.02  # about an object across the look direction: ten times what a difference moves it by
+WIDTHS = 1.8  # full widths at half maximum, beyond which a Gaussian is under 2e-4: less than a difference is wrong by
 
 
 @dataclass(frozen=True)
@@ -65,6 +66,25 @@ def boxes(scene: Scene, view: View) -> dict[str, Box] | None:
             low.append(int(np.floor((least - spread) / step + count / 2)) - MARGIN)
             high.append(int(np.ceil((most + spread) / step + count / 2)) + MARGIN)
         found[one.label] = Box((low[0], low[1]), (high[0], high[1]))
+    return found
+
+
+def faces_about(scene: Scene, view: View, bodies: Collection[str]) -> np.ndarray:
+    """The faces of the scene's mesh, shape (faces,), that bodies may hide or be hidden by, and their own, by label.
+
+    A body changes the image where it lies across the look direction, and nowhere else. So faces whose extents meet none
+    of its own there change nothing of the difference that a move of it makes.
+    """
+    assert scene.assembly is not None
+    geometry = geometry_of(scene, view)
+    axes = np.stack([geometry.u, geometry.v], axis=1)
+    corners = (scene.mesh.vertices @ axes)[scene.mesh.faces]
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    found = np.zeros(len(low), bool)
+    for one in scene.objects:
+        if one.label in bodies:
+            own = scene.assembly.vertices_of(one) @ axes
+            found |= ((low < own.max(axis=0) + BESIDE_M) & (high > own.min(axis=0) - BESIDE_M)).all(axis=1)
     return found
 
 

@@ -36,12 +36,14 @@ def render_elsewhere(
     x: np.ndarray,
     scene: Scene,
     columns: tuple[int, int] | None = None,
+    faces: np.ndarray | None = None,
     *,
     paths: bool = True,
 ) -> ViewRender:
     """The view with its geometry as `scene` has it; surface and effects as x of `problem` says. It has run.
 
     `columns`: from the first to before the last column of the image that is made; the others stay without hits.
+    `faces`: those that are there, shape (faces,), as `exact_hits` has them; by default all.
     `paths`: whether light that went over several surfaces is in them. The scene has the faces of the problem's own, in
     the same order. Raises TimeUp where the time of the run is over.
     """
@@ -52,7 +54,7 @@ def render_elsewhere(
     effects = declared(placed, there, neutral=True)
     stage = replace(problem.stage, target=Target.upload(scene.mesh, scene.reference_point_m, problem.device))
     rays = ExactRays(stage, seed=scene.sampling.seed)
-    hits = rays.trace(placed, there, effects, _of_the_grid(placed, effects, columns))
+    hits = rays.trace(placed, there, effects, _of_the_grid(placed, effects, columns), only_faces=faces)
     render = ViewRender(stage, there, hits, scene.grid.shape, tuple(there.images), effects)
     render.set_parameters(problem.float_nodes(x))
     render.forward()
