@@ -15,6 +15,7 @@ from warpsar.effects.registry import validate
 from warpsar.errors import InputError
 from warpsar.learning.command import run
 from warpsar.learning.geometry import Geometry
+from warpsar.learning.glints import with_glints
 from warpsar.learning.options import LearnOptions
 from warpsar.learning.pose import PosedProblem
 from warpsar.learning.pose_pixels import FLOOR_SHARE, compared
@@ -30,6 +31,7 @@ from warpsar.surface.stage import Stage
 from warpsar.world.objects.assembly import Assembly
 from warpsar.world.objects.table import Object
 from warpsar.world.tables import Grid, Material, View
+from warpsar.world.world import geometry_of
 
 CPU = devices.resolve_device("cpu")
 PLACE = {"position_m": (1.3, -0.8, 0.0), "heading_deg": 35.0, "material": "body"}
@@ -530,6 +532,29 @@ def test_faces_elsewhere_change_nothing_of_a_move() -> None:
     )
     np.testing.assert_allclose(part, whole, atol=1e-5 * np.abs(inner.modelled(rest)[0]).max())
     assert np.abs(whole).max() > 0.0
+
+
+@pytest.mark.full
+def test_a_bright_point_beside_a_body_is_found_and_none_is_where_there_is_none() -> None:
+    """A plate that stands beside a box: its place is found to a pixel, and both bodies' images pay for it or not."""
+    body = Object(name="hut", primitive="box", size_m=(6.0, 3.0, 3.0), material="body", glint=True)
+    lower = body.model_copy(update={"name": "shed", "position_m": (-9.0, 7.0, 0.0)})
+    point = Object(name="lamp", primitive="box", size_m=(0.4, 0.4, 0.4), position_m=(1.0, 2.5, 3.2), material="lamp")
+    views = [view(azimuth, 45, name=f"v{k}") for k, azimuth in enumerate((88.0, 92.0))]
+    plain = scene_of(mesh_of(g=ground(40)), views, shape=(64, 64), spacing_m=(0.5, 0.5))
+    kinds = {"g": Material(**SOIL), "body": Material(**BRICK)}
+    bright = Material(**{**BRICK, "rms_height_m": 6.0 * BRICK["rms_height_m"]})
+    truth = measured(with_objects(plain, [body, lower, point], {**kinds, "lamp": bright}))
+    asked = with_objects(truth, [body, lower], kinds)
+    found = with_glints(asked, CPU, "gamma")
+    assert [one.label for one in found.objects] == ["hut", "shed", "hut.glint"]
+    assert not any(one.glint for one in found.objects)
+    glint = found.objects[-1]
+    d, u = (getattr(geometry_of(found, views[0]), axis) for axis in "du")
+    for axis in (d, u):  # where it is seen, in range and in azimuth
+        assert abs(np.subtract(glint.position_m, point.position_m) @ axis) < 0.5
+    again = with_glints(measured(asked), CPU, "gamma")
+    assert [one.label for one in again.objects] == ["hut", "shed"]
 
 
 def test_effects_that_carry_power_share_nothing() -> None:

@@ -90,19 +90,7 @@ def find_poses(
         raise InputError(
             f"{scene.name}: found no object, view, [radar] or [image] with `learn`; at least one must state it"
         )
-    given = FitProblem(
-        scene,
-        device,
-        loss=loss,
-        views=views,
-        rays=ExactRays(Stage.of(scene, device), seed=scene.sampling.seed),
-        observations=observations,
-    )
-    pixels: dict[str, list[Observation]] = {}
-    for seen in given.observations:
-        pixels.setdefault(seen.view.name, []).append(seen)
-    gains = given.gains(given.modelled(given.x0))
-    loud = {(s.view.name, s.polarization): float(g) for s, g in zip(given.observations, gains, strict=True)}
+    pixels, loud = lit_pixels(scene, device, loss, views, observations)
     known: dict[str, float] = {}
     for blur_m in SEARCH_BLUR_M if search else ():
         blurred, there = _descended(scene, device, pixels, loud, loss, held, blur_m, known, standing)
@@ -122,6 +110,26 @@ def find_poses(
         partial(_loss_without, scene, device, pixels, loud, loss, held),
         [pull for pull in pulls(problem, end.x, identified) if pull.label in tolerated],
     )
+
+
+def lit_pixels(
+    scene: Scene,
+    device: wp.Device,
+    loss: str,
+    views: Sequence[str] | None = None,
+    observations: Mapping[str, list[Observation]] | None = None,
+) -> tuple[dict[str, list[Observation]], dict[tuple[str, str], float]]:
+    """What the declared model sees of every image, by view name, and the images' gains, by view name and polarization.
+
+    `views` and `observations` as in `find_poses`.
+    """
+    rays = ExactRays(Stage.of(scene, device), seed=scene.sampling.seed)
+    given = FitProblem(scene, device, loss=loss, views=views, rays=rays, observations=observations)
+    pixels: dict[str, list[Observation]] = {}
+    for seen in given.observations:
+        pixels.setdefault(seen.view.name, []).append(seen)
+    gains = given.gains(given.modelled(given.x0))
+    return pixels, {(s.view.name, s.polarization): float(g) for s, g in zip(given.observations, gains, strict=True)}
 
 
 def group_pose(
