@@ -92,7 +92,7 @@ def _best_place(scene: Scene, one: Object, images: Sequence[_Image]) -> tuple[fl
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     up = float(high[2]) + ABOVE_M
     d = geometry_of(scene, images[0].view).d
-    # what stands this high is seen nearer to the radar by as much: where it stands, it is seen from the roof to the foot
+    # what stands this high is seen nearer to the radar by as much
     nearer = (up - low[2]) * -d[2] / float(d[:2] @ d[:2]) * d[:2]
     step = min(scene.grid.spacing_m)
     begin = low[:2] + np.minimum(nearer, 0.0) - REACH_M
