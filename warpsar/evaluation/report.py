@@ -9,12 +9,13 @@ from typing import Any
 import warp as wp
 
 from warpsar.compare.evaluation import Evaluation
+from warpsar.compare.laid import BesideMean
 from warpsar.compare.prediction import PredictedImage
 from warpsar.evaluation.report_convergence import convergence_sections
 from warpsar.evaluation.report_curves import curves_section
 from warpsar.evaluation.report_images import first_pictures, images_section
 from warpsar.evaluation.report_numbers import summary_section, verdict_sentence
-from warpsar.evaluation.report_prediction import prediction_section
+from warpsar.evaluation.report_prediction import means_section, prediction_section
 from warpsar.evaluation.report_surface import identified_words, parameters_section
 from warpsar.evaluation.report_tables import tables_section
 from warpsar.evaluation.residuals import FactorProfile, profile_figure
@@ -35,13 +36,14 @@ def write_report(
     *,
     before: Evaluation | None = None,
     told: Sequence[PredictedImage] = (),
+    laid: Sequence[BesideMean] = (),
     title: str = "",
     beside: str = "evaluate.json (all numbers), residual images as EXR and PNG, learned.ply",
 ) -> None:
     """`by_factor` and `expected` are `profiles` and `expected_db` of the images. `content` is that of evaluate.json or
     learn.json, `command` the words that made it. `before` is another model of the same images. `told`: test views
-    beside predictions of them. `title` takes the place of the verdict, which follows it then. `beside` names the
-    other files."""
+    beside predictions of them, and `laid`, beside the mean of train views on the ground. `title` takes the place of
+    the verdict, which follows it then. `beside` names the other files."""
     stage = Stage.of(scene, device)
     identified, words = identified_words(scene, stage, found.rays_per_m2)
     verdict = verdict_sentence(Path(scene.path or "the scene").name, found)
@@ -54,6 +56,7 @@ def write_report(
         first_pictures(scene, found, before),
         summary_section(scene, found, before),
         *([prediction_section(told)] if told else []),
+        *([means_section(laid)] if laid else []),
         images_section(scene, stage, found, before),
         *([curves_section(found.curves, found.curve_verdicts)] if found.curves else []),
         _residuals_section(by_factor, expected),

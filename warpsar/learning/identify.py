@@ -140,18 +140,26 @@ def of_information(
     zero. The data see nothing there, and rounding alone would decide whether that counts as undetermined.
     """
     values, vectors = np.linalg.eigh(information)
-    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
-    held = np.zeros((0, len(labels))) if known is None else known
-    stated = sum((np.outer(row, row) * (row**2 @ np.diag(information)) for row in held), np.zeros_like(information))
-    unit_values, unit_vectors = np.linalg.eigh((information + stated) / np.outer(scale, scale))
-    seen = unit_values > RANK_TOLERANCE * unit_values.max(initial=0.0)
-    inverse = (unit_vectors[:, seen] / unit_values[seen]) @ unit_vectors[:, seen].T / np.outer(scale, scale)
+    inverse, unseen = pseudo_inverse(information, known)
     covariance = inverse @ products @ inverse
-    unseen = unit_vectors[:, ~seen].T / scale
-    unseen /= np.linalg.norm(unseen, axis=1, keepdims=True)
     reported = covariance.copy()
     np.fill_diagonal(reported, [_sd(row, covariance, unseen) ** 2 for row in np.eye(len(labels))])
     return Identified(labels, information, reported, products, values, vectors, describe(labels, covariance, unseen))
+
+
+def pseudo_inverse(information: np.ndarray, known: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """The inverse of an information (p, p) in the directions that the data see, and unit vectors of the others (n, p).
+
+    `known` as in `of_information`.
+    """
+    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    held = np.zeros((0, len(scale))) if known is None else known
+    stated = sum((np.outer(row, row) * (row**2 @ np.diag(information)) for row in held), np.zeros_like(information))
+    values, vectors = np.linalg.eigh((information + stated) / np.outer(scale, scale))
+    seen = values > RANK_TOLERANCE * values.max(initial=0.0)
+    inverse = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T / np.outer(scale, scale)
+    unseen = vectors[:, ~seen].T / scale
+    return inverse, unseen / np.linalg.norm(unseen, axis=1, keepdims=True)
 
 
 def _sd(combination: np.ndarray, covariance: np.ndarray, unseen: np.ndarray) -> float:

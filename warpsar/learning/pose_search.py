@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, TypeVar
@@ -43,34 +43,40 @@ SHARE = 0.2  # of a unit move, from which a number is part of it
 class FoundPoses:
     """Objects at their likeliest poses, views at their angles, and pixel spacings.
 
-    `scene`: the scene with them, and with the surface and effects that were fitted along. `gain`: what the poses add to
-    the log-likelihood over all usable pixels above a common floor (`pose_pixels`), where surface and effects are at
-    their best with and without them. `gain_given`: rise over the pixels that were given, from the scene as it was
-    given; a refit on those pixels raises it further. `size`: how many numbers of poses moved. `identified`: information
-    on everything that was fitted, poses last [m at the objects' edges]. `words`: what cannot be told apart. `pulls`:
-    every number of a pose or size that is known to a tolerance, before and after.
+    `scene`: the scene with them, and with the surface and effects that were fitted along. `loss`: where the fit ended,
+    with its priors. `size`: how many numbers of poses moved. `identified`: information on everything that was fitted,
+    poses last [m at the objects' edges]. `words`: what cannot be told apart. `pulls`: every number of a pose or size
+    that is known to a tolerance, before and after.
     """
 
     scene: Scene
-    gain: float
-    gain_given: float
+    loss: float
     size: int
     objects: dict[str, dict[str, Any]]
     numbers: dict[str, dict[str, Any]]
     identified: Identified
     words: list[str]
+    without: Callable[[], float] = field(repr=False)
+    """Fits surface and effects with nothing moved; returns that fit's loss."""
     pulls: list[Pull] = field(default_factory=list)
+
+    @cached_property
+    def gain(self) -> float:
+        """What the poses add to the log-likelihood over all usable pixels above a common floor (`pose_pixels`), where
+        surface and effects are at their best with and without them. It is a fit of its own when first asked for."""
+        return self.without() - self.loss
 
 
 @dataclass(frozen=True)
 class PoseSearch:
     """What blurred images say of a geometry: where the fit of sharp images begins. `gain`: what has been gained of the
-    log-likelihood of the least blurred ones, by which searches are compared; 0 where there was none. The others as
-    `find_poses` has them; `known`: where the search ended, by label."""
+    log-likelihood of the least blurred ones, by which searches are compared; 0 where there was none. `pixels` and
+    `gains` as `lit_pixels` has them, the others as `find_poses`; `known`: where the search ended, by label."""
 
     scene: Scene
     device: wp.Device
-    given: FitProblem
+    pixels: Mapping[str, list[Observation]]
+    gains: Mapping[tuple[str, str], float]
     loss: str
     held: bool
     standing: Collection[str]
@@ -79,54 +85,28 @@ class PoseSearch:
 
     def finish(self) -> FoundPoses:
         """The likeliest geometry of the sharp images, from where the search ended."""
-        problem, end = self._descended(self.scene, 0.0, self.known, self.standing)
+        problem, end = self.descended(0.0)
         identified = problem.identified(end.x)
         found = _scene_at(problem, end.x, self.scene)
-        at_end = FitProblem(
-            found,
-            self.device,
-            loss=self.loss,
-            views=list(self.pixels),
-            rays=ExactRays(Stage.of(found, self.device), seed=found.sampling.seed),
-            observations=self.pixels,
-        )
-        before, after = (one.value(one.modelled(one.x0)) for one in (self.given, at_end))
-        _, best = self._descended(still(self.scene), 0.0, {})
         tolerated = set(problem.geometry.labels) - {problem.labels[k] for k in problem.stood}
         return FoundPoses(
             found,
-            best.loss - end.loss,
-            float(before - after),
+            end.loss,
             problem.count - len(problem.stood),
             summary(problem, end.x, identified),
             numbers(problem, end.x, identified),
             identified,
             [*problem.geometry.held, *_words(problem, identified)],
+            self._loss_without,
             [pull for pull in pulls(problem, end.x, identified) if pull.label in tolerated],
         )
 
-    @cached_property
-    def pixels(self) -> dict[str, list[Observation]]:
-        """The pixels that are compared, by view name."""
-        found: dict[str, list[Observation]] = {}
-        for seen in self.given.observations:
-            found.setdefault(seen.view.name, []).append(seen)
-        return found
-
-    @cached_property
-    def _gains(self) -> dict[tuple[str, str], float]:
-        gains = self.given.gains(self.given.modelled(self.given.x0))
-        pairs = zip(self.given.observations, gains, strict=True)
-        return {(seen.view.name, seen.polarization): float(gain) for seen, gain in pairs}
-
-    def _descended(
-        self, scene: Scene, blur_m: float, known: Mapping[str, float], standing: Collection[str] = ()
-    ) -> tuple[PosedProblem, Descended]:
-        """The problem of images blurred by `blur_m`, and where it ends from what is `known` by label.
+    def descended(self, blur_m: float) -> tuple[PosedProblem, Descended]:
+        """The problem of images blurred by `blur_m`, and where it ends from what is known.
 
         Blurred images hold the point spread that a scene declares, so it is no part of their x.
         """
-        both = compared(scene, self.pixels, blur_m, self._gains)
+        both = compared(self.scene, self.pixels, blur_m, self.gains)
         problem = PosedProblem(
             both.scene,
             self.device,
@@ -134,13 +114,19 @@ class PoseSearch:
             loss=self.loss,
             held=self.held,
             level=both.level,
-            standing=standing,
+            standing=self.standing,
             forward=blur_m > 0.0,
         )
-        start = np.array([known.get(label, value) for label, value in zip(problem.labels, problem.x0, strict=True)])
+        x0 = zip(problem.labels, problem.x0, strict=True)
+        start = np.array([self.known.get(label, value) for label, value in x0])
         if not blur_m:
             return problem, descend(problem, start)
         return problem, descend(problem, start, most=SEARCH_STEPS, flat=SEARCH_FLAT, near=True)
+
+    def _loss_without(self) -> float:
+        """The loss where nothing of the geometry moves."""
+        _, end = replace(self, scene=still(self.scene), known={}, standing=()).descended(0.0)
+        return end.loss
 
 
 def find_poses(
@@ -191,20 +177,33 @@ def search_poses(
         raise InputError(
             f"{scene.name}: found no object, view, [radar] or [image] with `learn`; at least one must state it"
         )
-    given = FitProblem(
-        scene,
-        device,
-        loss=loss,
-        views=views,
-        rays=ExactRays(Stage.of(scene, device), seed=scene.sampling.seed),
-        observations=observations,
-    )
-    found = PoseSearch(scene, device, given, loss, held, standing, 0.0, {})
+    pixels, gains = lit_pixels(scene, device, loss, views, observations)
+    found = PoseSearch(scene, device, pixels, gains, loss, held, standing, 0.0, {})
     for blur_m in blurs_m:
-        blurred, there = found._descended(scene, blur_m, found.known, standing)
+        blurred, there = found.descended(blur_m)
         gain = blurred.value(blurred.x0) - there.loss if blur_m == blurs_m[-1] else 0.0
         found = replace(found, gain=gain, known=dict(zip(blurred.labels, there.x.tolist(), strict=True)))
     return found
+
+
+def lit_pixels(
+    scene: Scene,
+    device: wp.Device,
+    loss: str,
+    views: Sequence[str] | None = None,
+    observations: Mapping[str, list[Observation]] | None = None,
+) -> tuple[dict[str, list[Observation]], dict[tuple[str, str], float]]:
+    """What the declared model sees of every image, by view name, and the images' gains, by view name and polarization.
+
+    `views` and `observations` as in `find_poses`.
+    """
+    rays = ExactRays(Stage.of(scene, device), seed=scene.sampling.seed)
+    given = FitProblem(scene, device, loss=loss, views=views, rays=rays, observations=observations)
+    pixels: dict[str, list[Observation]] = {}
+    for seen in given.observations:
+        pixels.setdefault(seen.view.name, []).append(seen)
+    gains = given.gains(given.modelled(given.x0))
+    return pixels, {(s.view.name, s.polarization): float(g) for s, g in zip(given.observations, gains, strict=True)}
 
 
 def group_pose(
