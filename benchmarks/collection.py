@@ -115,8 +115,7 @@ def deposit(device: wp.Device, small: bool) -> dict[str, Any]:
 
 def _launched(plan: Plan, shared: Any, parts: list[Any], device: wp.Device) -> None:
     """All pulses' deposits, on CUDA in one launch; without transfers and FFT."""
-    lanes = histories.LANES["cpu" if device.is_cpu else "cuda"]
-    histories.deposited(plan, shared, parts, 1, slice(0, len(plan.track)), lanes)
+    histories.deposited(plan, shared, parts, 1, slice(0, len(plan.track)))
 
 
 def town(device: wp.Device, small: bool) -> dict[str, Any]:

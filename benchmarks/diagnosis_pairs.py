@@ -31,7 +31,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import diagnosis_rates
 import limits
 import tables
-from diagnosis_rates import side_by_side, speckle, stored_runs
+from diagnosis_rates import append_runs, speckle, stored_runs
 from pairs_scenes import SCENES
 
 from warpsar.diagnosis.found import DiagnoseOptions
@@ -221,18 +221,13 @@ def main() -> None:
 def run(out: Path, first: int, combinations: int, jobs: int, max_time: float, draws: int, device: str | None) -> None:
     """Make the runs that are not in the folder yet."""
     out.mkdir(parents=True, exist_ok=True)
-    started = time.perf_counter()
     where = devices.resolve_device(device).alias
     done = {row["number"] for row in stored_runs(out)}
     keys = [number for number in range(first, first + combinations) if number not in done]
-    when = tables.made()
-    bar = console.progress(len(keys), "runs", "run")
-    for row in side_by_side(keys, jobs, started + max_time, (DiagnoseOptions(draws=draws), where, out), one_run):
-        with (out / "runs.jsonl").open("a") as stream:
-            stream.write(json.dumps(row | when) + "\n")
-        bar.update()
-        click.echo(f"{'+'.join(row['effects'])}: {row['verdict']}, {row['seconds']} s", err=True)
-    bar.close()
+    append_runs(
+        out, keys, jobs, max_time, (DiagnoseOptions(draws=draws), where, out), one_run,
+        lambda row: f"{'+'.join(row['effects'])}: {row['verdict']}, {row['seconds']} s",
+    )  # fmt: skip
 
 
 def judged(row: Mapping[str, Any]) -> str:

@@ -277,23 +277,39 @@ def run(
     options = DiagnoseOptions(family_error=family_error, draws=draws)
     where = devices.resolve_device(device)
     done = {(r["case"], r["looks"], r["speckle"], r["seed"]) for r in stored_runs(out)}
-    started = time.perf_counter()
+    end = time.perf_counter() + max_time
     cases = cases or tuple(CASES)
     for name in cases:
         clean_images(CASES[name], where.alias, out, name)
     numbers = [int(n) for n in looks] or list(LOOKS)
     keys = [key for key in wanted(cases, numbers, kinds or ("white", "correlated"), repeats) if key not in done]
+    append_runs(
+        out, keys, jobs, end - time.perf_counter(), (options, where.alias, out, always_bodies), one_run,
+        lambda row: f"{row['case']}, {row['looks']} looks, {row['speckle']}, seed {row['seed']}: {row['verdict']}"
+        f"{' unexplained' if row['unexplained'] else ''}, {row['seconds']} s",
+    )  # fmt: skip
+
+
+def append_runs(
+    out: Path,
+    keys: Sequence[Any],
+    jobs: int,
+    max_time: float,
+    options: tuple[Any, ...],
+    work: Callable[..., dict[str, Any]],
+    words: Callable[[dict[str, Any]], str],
+) -> None:
+    """`work` of every key, `jobs` at a time, each as a line of the folder's runs.jsonl; `words` of it on stderr.
+
+    None is begun after `max_time` seconds.
+    """
     bar = console.progress(len(keys), "runs", "run")
-    when = tables.made()
-    for row in side_by_side(keys, jobs, started + max_time, (options, where.alias, out, always_bodies)):
+    when, end = tables.made(), time.perf_counter() + max_time
+    for row in side_by_side(keys, jobs, end, options, work):
         with (out / "runs.jsonl").open("a") as stream:
             stream.write(json.dumps(row | when) + "\n")
         bar.update()
-        click.echo(
-            f"{row['case']}, {row['looks']} looks, {row['speckle']}, seed {row['seed']}: {row['verdict']}"
-            f"{' unexplained' if row['unexplained'] else ''}, {row['seconds']} s",
-            err=True,
-        )
+        click.echo(words(row), err=True)
     bar.close()
 
 

@@ -38,13 +38,13 @@ import tables
 from gallery_shapes import Parts, all_of, turn
 
 import warpsar
-from warpsar.collection.response import width_in_cells
 from warpsar.effects.registry import validate
 from warpsar.scene.fitted_grid import fitted_grid
 from warpsar.world.collection import Collection
 from warpsar.world.frame import SPEED_OF_LIGHT, view_geometry
 from warpsar.world.objects.shapes import body
 from warpsar.world.objects.table import Object
+from warpsar.world.taper import width_in_cells
 
 F64 = NDArray[np.float64]
 LOOKS, DRAWS = 16, 4

@@ -10,7 +10,6 @@ others the scene file declares one thing wrongly, or the images hold something t
 runs that are there already are not made again. docs/judgement.md has the results.
 """
 
-import json
 import math
 import sys
 import tempfile
@@ -25,12 +24,12 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 from scipy.stats import beta
 
-from warpsar.runtime import console, devices
+from warpsar.runtime import devices
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import tables
-from diagnosis_rates import side_by_side, stored_runs
+from diagnosis_rates import append_runs, stored_runs
 
 from warpsar.compare.comparison import compare
 from warpsar.diagnosis.command import in_short
@@ -328,6 +327,19 @@ def speckled(random: np.random.Generator, law: Law, shape: tuple[int, int], corr
     return np.asarray((fields**2).mean(axis=0) / power * texture)
 
 
+def with_images(
+    random: np.random.Generator, found: Drawn, clean: Mapping[str, np.ndarray], correlated: bool, folder: Path
+) -> list[View]:
+    """The declared views with the images under speckle, as files of the folder."""
+    views = []
+    for view in found.declared.views:
+        path = folder / f"{view.name}.tif"
+        speckle = speckled(random, found.law[view.name], clean[view.name].shape, correlated)
+        write_tiff(path, (clean[view.name] * speckle).astype(np.float32))
+        views.append(view.model_copy(update={"images": {"HH": path}}))
+    return views
+
+
 def seen(found: Drawn, clean: Mapping[str, np.ndarray], sharing: float, device: str, folder: Path) -> float:
     """2 ln L by which images without speckle differ from the declared model, bounded, plus what other laws of speckle
     make of it: how much there is to be found. `sharing`: pixels that share one speckle."""
@@ -367,12 +379,7 @@ def one_run(number: int, device: str, minutes: float) -> dict[str, Any]:
             there = seen(found, clean, SHARING if correlated else 1.0, device, folder)
             if kind == "nothing" or there > SEEN:
                 break
-        views = []
-        for view in found.declared.views:
-            path = folder / f"{view.name}.tif"
-            speckle = speckled(random, found.law[view.name], clean[view.name].shape, correlated)
-            write_tiff(path, (clean[view.name] * speckle).astype(np.float32))
-            views.append(view.model_copy(update={"images": {"HH": path}}))
+        views = with_images(random, found, clean, correlated, folder)
         materials = {}
         for key, one in found.declared.materials.items():
             a, b, c = np.exp(START_SD * random.standard_normal(3))
@@ -443,16 +450,10 @@ def run(
     where = devices.resolve_device(device)
     done = {row["number"] for row in stored_runs(out)}
     numbers = [n for n in range(scenes) if n not in done and (not kinds or kind_of(n) in kinds)]
-    bar = console.progress(len(numbers), "runs", "run")
-    when, end = tables.made(), time.perf_counter() + max_time
-    for row in side_by_side(numbers, jobs, end, (where.alias, minutes), one_run):
-        with (out / "runs.jsonl").open("a") as stream:
-            stream.write(json.dumps(row | when) + "\n")
-        bar.update()
-        click.echo(
-            f"{row['number']} {row['kind']}, {row['looks']:g} looks: {row['line']}, {row['seconds']} s", err=True
-        )
-    bar.close()
+    append_runs(
+        out, numbers, jobs, max_time, (where.alias, minutes), one_run,
+        lambda row: f"{row['number']} {row['kind']}, {row['looks']:g} looks: {row['line']}, {row['seconds']} s",
+    )  # fmt: skip
 
 
 @main.command()

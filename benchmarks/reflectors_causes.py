@@ -1,7 +1,8 @@
 """How often causes of made-up differences are found together, falsely named, and covered by their intervals.
 
-    python benchmarks/reflectors_causes.py            # 60 worlds of each kind, some 6 minutes of CPU time
+    python benchmarks/reflectors_causes.py            # 60 worlds of each kind, on all cores
     python benchmarks/reflectors_causes.py --worlds 10 --kinds loss three
+    python benchmarks/reflectors_causes.py --each worlds.jsonl  # and what was found in each world
     python benchmarks/reflectors_causes.py --hold-back  # how often intervals that are foretold hold later values
 
 Three reflectors, two passes, 12 dates each: 0.3 dB of scatter from value to value, 0.15 dB from image to image, clutter
@@ -11,18 +12,31 @@ some 25 dB below. Kinds: nothing is wrong; one cause; three at once (constant, a
 from __future__ import annotations
 
 import argparse
+import json
+import multiprocessing
+import os
+import time
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any
+
+os.environ["OPENBLAS_NUM_THREADS"] = "1"  # a core for each world; NumPy reads it when it is imported
 
 import numpy as np
 from scipy.special import betaincinv
 
 from warpsar.calibration.attitude import Facing, trihedral_rcs_m2
+from warpsar.calibration.causes import causes
+from warpsar.calibration.differences import Differences, bad_dates
 from warpsar.calibration.explain import explain
 from warpsar.calibration.forecast import forecast
+from warpsar.calibration.joint import joint
 from warpsar.calibration.measure import ReflectorObservation
 from warpsar.calibration.point import PointMeasurement, interval
 from warpsar.calibration.sites import ReflectorSite
 from warpsar.products.product import ImagedPoint
+from warpsar.runtime.threads import thread_count
 
 PASSES = ((98.0, 38.0), (262.0, 44.0))
 NAMES, DAYS, LEG, WAVELENGTH, CELL = ("A", "B", "C"), range(0, 288, 24), 1.2, 0.0555, 2.0
@@ -85,36 +99,62 @@ def main() -> None:
     parser.add_argument("--worlds", type=int, default=60)
     parser.add_argument("--kinds", nargs="+", choices=list(KINDS), default=list(KINDS))
     parser.add_argument("--hold-back", action="store_true", help="foretell the last third of the dates instead")
+    parser.add_argument("--each", type=Path, help="a file for what was found in each world, a line of JSON each")
     given = parser.parse_args()
-    worlds = given.worlds
+    work, line = (foretold, foretold_line) if given.hold_back else (judged, judged_line)
     if given.hold_back:
-        held_back(worlds, given.kinds)
-        return
-    print("kind: all causes named, or tied to what is named; worlds with a cause that is not there (95 % bounds);")
-    print("      the interval holds; the interval over all ties holds")
-    for k, (kind, (off, truth)) in enumerate(KINDS.items()):
-        if kind not in given.kinds:
+        print("kind: later values inside, and width; by a level of each reflector and pass alone")
+    else:
+        print("kind: all causes named, or tied to what is named; worlds with a cause that is not there (95 % bounds);")
+        print("      the interval holds; that over all ties; the interval where the true causes alone are named")
+    start = time.perf_counter()
+    with ProcessPoolExecutor(thread_count(), multiprocessing.get_context("spawn")) as pool:
+        for kind in given.kinds:
+            found = list(pool.map(work, [kind] * given.worlds, range(given.worlds)))
+            print(f"{kind}: {line(found)}", flush=True)
+            if given.each is not None:
+                with given.each.open("a") as file:
+                    file.writelines(json.dumps({"kind": kind, "world": k, **one}) + "\n" for k, one in enumerate(found))
+    cpu = sum(os.times()[:4])
+    print(f"{time.perf_counter() - start:.0f} s, {cpu:.0f} s of CPU time")
+
+
+def judged(kind: str, seed: int) -> dict[str, Any]:
+    """What is named in a world, which of it is false, which truths are missing, and of each truth that is named
+    whether its interval holds it, whether that over all ties does, and whether anything could stand for it."""
+    off, truth = KINDS[kind]
+    made = Differences.of(world(off, np.random.default_rng([list(KINDS).index(kind), seed, 3])))
+    found = joint(made.part(bad_dates(made)[1]), causes)
+    named = {SAME.get(one.cause.name, one.cause.name): one for one in found.causes}
+    tied = {SAME.get(one.other, one.other) for one in found.stands}
+    held = {}
+    for name, (parameter, value) in truth.items():
+        one = named.get(name)
+        if one is None or one.cause.name != name:
             continue
-        found = false = held = tied_held = counted = 0
-        for seed in range(worlds):
-            joint = explain(world(off, np.random.default_rng([k, seed, 3]))).joint
-            assert joint is not None
-            named = {SAME.get(one.cause.name, one.cause.name): one for one in joint.causes}
-            tied = {SAME.get(one.other, one.other) for one in joint.stands}
-            found += set(truth) <= set(named) | tied
-            could_be = {name for name in named if name in truth or _tied_to(joint.stands, name, truth)}
-            false += bool(set(named) - could_be)
-            for name, (parameter, value) in truth.items():
-                one = named.get(name)
-                if one is None or one.cause.name != name:
-                    continue
-                at = one.cause.parameters.index(parameter)
-                counted += 1
-                held += one.low[at] <= value <= one.high[at]
-                tied_held += one.tied_low[at] <= value <= one.tied_high[at]
-        shares = [f"{100 * each / counted:.0f} % of {counted}" if counted else "-" for each in (held, tied_held)]
-        bounds = f"({100 * bound(false, worlds, 0.025):.1f} to {100 * bound(false, worlds, 0.975):.1f} %)"
-        print(f"{kind}: {found} of {worlds}; {false} of {worlds} {bounds}; {'; '.join(shares)}", flush=True)
+        at = one.cause.parameters.index(parameter)
+        held[name] = [
+            bool(one.low[at] <= value <= one.high[at]), bool(one.tied_low[at] <= value <= one.tied_high[at]),
+            [float(each[at]) for each in (one.values, one.low, one.high, one.tied_low, one.tied_high)],
+        ]  # fmt: skip
+    return {
+        "named": [one.cause.name for one in found.causes],
+        "false": [n for n in named if n not in truth and not _tied_to(found.stands, n, truth)],
+        "missing": sorted(set(truth) - set(named) - tied),
+        "held": held,
+    }
+
+
+def judged_line(found: list[dict[str, Any]]) -> str:
+    worlds, false = len(found), sum(bool(one["false"]) for one in found)
+    held = [each for one in found for each in one["held"].values()]
+    true = [each for one in found if len(one["held"]) == len(one["named"]) for each in one["held"].values()]
+    shares = [
+        f"{100 * np.mean([each[k] for each in some]):.0f} % of {len(some)}" if some else "-"
+        for some, k in ((held, 0), (held, 1), (true, 0))
+    ]
+    bounds = f"({100 * bound(false, worlds, 0.025):.1f} to {100 * bound(false, worlds, 0.975):.1f} %)"
+    return f"{sum(not one['missing'] for one in found)} of {worlds}; {false} of {worlds} {bounds}; {'; '.join(shares)}"
 
 
 def bound(count: int, of: int, chance: float) -> float:
@@ -124,23 +164,27 @@ def bound(count: int, of: int, chance: float) -> float:
     return float(betaincinv(count + 1, of - count, chance)) if count < of else 1.0
 
 
-def held_back(worlds: int, kinds: list[str]) -> None:
-    """How many values of the last 4 of 12 dates lie in the 90 % intervals that the first 8 foretell."""
+def foretold(kind: str, seed: int) -> dict[str, Any]:
+    """Of the values of the last 4 of 12 dates: which lie in the 90 % intervals that the first 8 foretell, and how wide
+    those are; the same of a level alone."""
     since = np.datetime64("2024-01-01", "us") + np.timedelta64(DAYS[8], "D")
-    print("kind: later values inside, and width; by a level of each reflector and pass alone")
-    for k, (kind, (off, _)) in enumerate(KINDS.items()):
-        if kind not in kinds:
-            continue
-        values = []
-        for seed in range(worlds):
-            made = world(off, np.random.default_rng([k, seed, 1]))
-            values += list(forecast(made, since, explain([one for one in made if one.date < since])).values)
-        words = []
-        for of in ("", "level_"):
-            inside = 100 * np.mean([getattr(one, f"{of}inside") for one in values])
-            width = np.mean([getattr(one, f"{of}high_dbsm") - getattr(one, f"{of}low_dbsm") for one in values])
-            words.append(f"{inside:.1f} % of {len(values)}, {width:.2f} dB")
-        print(f"{kind}: {'; '.join(words)}", flush=True)
+    made = world(KINDS[kind][0], np.random.default_rng([list(KINDS).index(kind), seed, 1]))
+    values = forecast(made, since, explain([one for one in made if one.date < since])).values
+    return {
+        of: [
+            [bool(getattr(one, f"{of}inside")), getattr(one, f"{of}high_dbsm") - getattr(one, f"{of}low_dbsm")]
+            for one in values
+        ]
+        for of in ("", "level_")
+    }
+
+
+def foretold_line(found: list[dict[str, Any]]) -> str:
+    words = []
+    for of in ("", "level_"):
+        values = np.array([each for one in found for each in one[of]], float)
+        words.append(f"{100 * values[:, 0].mean():.1f} % of {len(values)}, {values[:, 1].mean():.2f} dB")
+    return "; ".join(words)
 
 
 def _tied_to(stands: tuple, name: str, truth: dict[str, tuple[str, float]]) -> bool:

@@ -118,7 +118,7 @@ def coral() -> None:
         place_found = f"{one.point.line:.2f}, {one.point.pixel:.2f}"
         print(
             f"  {str(one.date)[:10]}, {one.status}, {place_found}, {rcs:.2f} ({low:.2f} to "
-            f"{high:.2f}), {10 * np.log10(one.point.clutter):.2f}, {10 * np.log10(one.point.scr):.1f}"
+            f"{high:.2f}), {10 * np.log10(one.point.clutter):.2f}, {db(max(one.point.scr, 1e-3)):.1f}"
         )
     faded(found.observations)
 

@@ -83,6 +83,12 @@ def forms() -> None:
                 words.append(f"{db(scale * isce3_former(cosines) ** 2) - ours:+.2f}")
             words += [f"{theirs - ours:+.2f}", f"{engine - ours:+.2f}"]
         print("| " + " | ".join(words) + " |")
+    print("triangular, on the boresight, by its leg [m]: engine less ours [dB]")
+    for leg in (1.0, 1.3, 1.5, 1.7, 2.5):
+        look = (90.0, 54.7356)
+        ours = float(trihedral_rcs_m2("triangular", leg, UPRIGHT, toward(*look), WAVELENGTH))
+        engine = float(engine_rcs_m2("triangular", leg, UPRIGHT, [look], FREQUENCY_HZ, "VV", "cpu")[0])
+        print(f"  {leg:g}: {db(engine / ours):+.2f}")
 
 
 def power() -> None:

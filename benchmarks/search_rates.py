@@ -28,7 +28,7 @@ from scipy.ndimage import gaussian_filter, gaussian_filter1d, map_coordinates
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import tables
-from diagnosis_rates import side_by_side, stored_runs
+from diagnosis_rates import append_runs, stored_runs
 from judgement_rates import (
     KEYS,
     SEEN,
@@ -44,8 +44,8 @@ from judgement_rates import (
     seen,
     sign,
     smear,
-    speckled,
     turned,
+    with_images,
     without,
 )
 
@@ -56,12 +56,11 @@ from warpsar.diagnosis.models.sensor import ALL
 from warpsar.diagnosis.result import Diagnosed, diagnose
 from warpsar.diagnosis.surface_moves import moved_parameters
 from warpsar.effects.registry import get
-from warpsar.io.images import write_tiff
-from warpsar.runtime import console, devices
+from warpsar.runtime import devices
 from warpsar.scene.scene import Scene
 from warpsar.simulation.command import simulate
 from warpsar.world.mesh import Mesh
-from warpsar.world.tables import Sampling
+from warpsar.world.tables import Material, Sampling
 
 MOST_MINUTES = 8.0  # of one search: what it has found by then stands
 
@@ -389,33 +388,32 @@ def clean_images(found: Drawn, device: str) -> dict[str, np.ndarray]:
     return {view.name: found.change(view.name, one.beta0["HH"].astype(float)) for view, one in made}
 
 
+def visible(
+    number: int, kinds: list[str], random: np.random.Generator, device: str, folder: Path
+) -> tuple[Drawn, dict[str, np.ndarray], float, bool]:
+    """A scene in which what is wrong can be seen: with its images without speckle, 2 ln L of what there is to be found,
+    and whether its speckle is correlated."""
+    correlated = bool(random.random() < 0.3)
+    while True:
+        found = drawn_scene(number, kinds, random)
+        if correlated:  # the sum of so many fields
+            whole = {v: replace(law, looks=float(max(round(law.looks), 1))) for v, law in found.law.items()}
+            found = replace(found, law=whole)
+        clean = clean_images(found, device)
+        there = seen(found, clean, SHARING if correlated else 1.0, device, folder)
+        if there > SEEN * max(len(kinds), 1) or not kinds:
+            return found, clean, there, correlated
+
+
 def one_run(number: int, device: str, minutes: float) -> dict[str, Any]:
     started = time.perf_counter()
     random = np.random.default_rng([20261124, number])
     kinds = kinds_of(number, random)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        correlated = bool(random.random() < 0.3)
-        while True:
-            found = drawn_scene(number, kinds, random)
-            if correlated:  # the sum of so many fields
-                whole = {v: replace(law, looks=float(max(round(law.looks), 1))) for v, law in found.law.items()}
-                found = replace(found, law=whole)
-            clean = clean_images(found, device)
-            there = seen(found, clean, SHARING if correlated else 1.0, device, folder)
-            if there > SEEN * max(len(kinds), 1) or not kinds:
-                break
-        views = []
-        for view in found.declared.views:
-            path = folder / f"{view.name}.tif"
-            speckle = speckled(random, found.law[view.name], clean[view.name].shape, correlated)
-            write_tiff(path, (clean[view.name] * speckle).astype(np.float32))
-            views.append(view.model_copy(update={"images": {"HH": path}}))
-        materials = {}
-        for key, one in found.declared.materials.items():
-            values = [one.eps_r - 1.0, one.rms_height_m, one.correlation_length_m]
-            start = np.array(values) * np.exp(START_SD * random.standard_normal(3)) + [1.0, 0.0, 0.0]
-            materials[key] = one.model_copy(update=dict(zip(KEYS, map(float, start), strict=True)))
+        found, clean, there, correlated = visible(number, kinds, random, device, folder)
+        views = with_images(random, found, clean, correlated, folder)
+        materials = started(found.declared, random)
         scene = replace(found.declared, views=views, materials=materials, sampling=Sampling(seed=number))
         begun = time.perf_counter()
         done = diagnose(scene, device=device, options=DiagnoseOptions(time_limit_s=60.0 * minutes))
@@ -446,6 +444,16 @@ def one_run(number: int, device: str, minutes: float) -> dict[str, Any]:
         "seconds": round(ended - begun, 1),
         "of_it_made": round(begun - started, 1),
     }
+
+
+def started(scene: Scene, random: np.random.Generator) -> dict[str, Material]:
+    """The scene's materials beside the truth."""
+    materials = {}
+    for key, one in scene.materials.items():
+        values = [one.eps_r - 1.0, one.rms_height_m, one.correlation_length_m]
+        start = np.array(values) * np.exp(START_SD * random.standard_normal(3)) + [1.0, 0.0, 0.0]
+        materials[key] = one.model_copy(update=dict(zip(KEYS, map(float, start), strict=True)))
+    return materials
 
 
 def intervals(done: Diagnosed, true: Scene) -> list[tuple[str, float | None, float | None]]:
@@ -546,14 +554,10 @@ def run(out: Path, first: int, scenes: int, jobs: int, minutes: float, max_time:
     where = devices.resolve_device(device)
     done = {row["number"] for row in stored_runs(out)}
     numbers = [n for n in range(first, first + scenes) if n not in done]
-    bar = console.progress(len(numbers), "runs", "run")
-    when, end = tables.made(), time.perf_counter() + max_time
-    for row in side_by_side(numbers, jobs, end, (where.alias, minutes), one_run):
-        with (out / "runs.jsonl").open("a") as stream:
-            stream.write(json.dumps(row | when) + "\n")
-        bar.update()
-        click.echo(f"{row['number']} {', '.join(row['kinds']) or 'nothing'}: {outcome(row)}: {row['line']}", err=True)
-    bar.close()
+    append_runs(
+        out, numbers, jobs, max_time, (where.alias, minutes), one_run,
+        lambda row: f"{row['number']} {', '.join(row['kinds']) or 'nothing'}: {outcome(row)}: {row['line']}",
+    )  # fmt: skip
 
 
 @main.command()

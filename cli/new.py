@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 import click
@@ -75,10 +76,17 @@ def command(
                 raise click.UsageError(f"{name}: found {value}; --example takes its own mesh and scene, leave it out")
         from warpsar.scene.example import copy_example
 
-        click.echo(copy_example(folder, force=force))
+        _say_next(copy_example(folder, force=force))
         return
     if mesh is None:
         raise click.UsageError("MESH: found none; give a mesh or a file of buildings, or --example")
     from warpsar.scene.new import new_scene
 
-    click.echo(new_scene(folder, mesh, units=units, up=up, yes=yes, dem=dem, force=force, sensor=sensor))
+    _say_next(new_scene(folder, mesh, units=units, up=up, yes=yes, dem=dem, force=force, sensor=sensor))
+
+
+def _say_next(scene: Path) -> None:
+    from warpsar.runtime import console
+
+    click.echo(scene)
+    console.say(f"next: warpsar simulate {shlex.quote(str(scene))} -o {shlex.quote(str(scene.parent / 'out'))}")

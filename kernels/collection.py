@@ -29,12 +29,18 @@ TWO_PI = wp.constant(6.283185307179586)
 
 @wp.struct
 class Beam:
-    """Unit vectors across the beam of each pulse, and the sine of its half-power widths; 0 is even."""
+    """Unit vectors across the beam of each pulse, and the sine of its half-power widths; 0 is even.
+
+    Or a measured two-way pattern over azimuth and elevation off its axis, from `start` [deg] on, `every` to a degree.
+    """
 
     along: wp.array[wp.vec3d]
     up: wp.array[wp.vec3d]
     wide: float
     high: float
+    pattern: wp.array2d[wp.vec2]
+    start: wp.vec2
+    every: wp.vec2
 
 
 @wp.struct
@@ -288,6 +294,107 @@ def gain(beam: Beam, pulse: int, place: wp.vec3d, point: wp.vec3d) -> float:
     return total
 
 
+_ADD_TO_BINS = """
+    const int bins = out.shape[2];
+    float* const first = (float*)&wp::index(out, p, row, 0);
+    const int odd = low & 1;
+    int at = low - odd;
+    float share[8];
+    for (int k = 0; k < 8; ++k) {
+        const float even_share = k < 6 ? weights.c[k < 6 ? k : 0] : 0.0f;
+        const float odd_share = k > 0 && k < 7 ? weights.c[k > 0 && k < 7 ? k - 1 : 0] : 0.0f;
+        share[k] = odd ? odd_share : even_share;
+    }
+    for (int k = 0; k < 6 + 2 * odd; k += 2) {
+        float* const there = first + 2 * at;
+        const float a = share[k] * value.c[0], b = share[k] * value.c[1];
+        const float c = share[k + 1] * value.c[0], d = share[k + 1] * value.c[1];
+#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 900
+        asm volatile("red.relaxed.gpu.global.add.v4.f32 [%0], {%1, %2, %3, %4};"
+                     :: "l"(__cvta_generic_to_global(there)), "f"(a), "f"(b), "f"(c), "f"(d) : "memory");
+#elif defined(__CUDA_ARCH__)
+        atomicAdd(there, a);
+        atomicAdd(there + 1, b);
+        atomicAdd(there + 2, c);
+        atomicAdd(there + 3, d);
+#else
+        there[0] += a;
+        there[1] += b;
+        there[2] += c;
+        there[3] += d;
+#endif
+        at = at + 2 < bins ? at + 2 : 0;
+    }
+"""
+
+
+@wp.func_native(_ADD_TO_BINS)
+def add_to_bins(out: wp.array3d[wp.vec2], p: int, row: int, low: int, weights: Six, value: wp.vec2):  # type: ignore[no-untyped-def]
+    """Weights times a value into WIDTH bins from `low` on, two bins to an atomic sum of four numbers where CUDA has it.
+
+    The number of bins is even, and they go round.
+    """
+    ...
+
+
+@wp.func
+def angle_deg(sine: wp.float64) -> float:
+    return 57.29577951 * wp.asin(float(sine))
+
+
+@wp.func
+def measured_gain(beam: Beam, pulse: int, place: wp.vec3d, point: wp.vec3d) -> wp.vec2:
+    """Two-way complex amplitude of a measured pattern; 1 without one."""
+    rows = beam.pattern.shape[0]
+    columns = beam.pattern.shape[1]
+    if rows == 0:
+        return wp.vec2(1.0, 0.0)
+    to = wp.normalize(point - place)
+    x = (angle_deg(wp.dot(to, beam.along[pulse])) - beam.start[0]) * beam.every[0]
+    y = (angle_deg(wp.dot(to, beam.up[pulse])) - beam.start[1]) * beam.every[1]
+    if x < 0.0 or y < 0.0 or x > float(rows - 1) or y > float(columns - 1):
+        return wp.vec2()
+    i = wp.min(int(x), rows - 2)
+    j = wp.max(wp.min(int(y), columns - 2), 0)
+    k = wp.min(j + 1, columns - 1)
+    u = x - float(i)
+    v = y - float(j)
+    low = (1.0 - v) * beam.pattern[i, j] + v * beam.pattern[i, k]
+    high = (1.0 - v) * beam.pattern[i + 1, j] + v * beam.pattern[i + 1, k]
+    return (1.0 - u) * low + u * high
+
+
+@wp.func
+def times(a: wp.vec2, b: wp.vec2) -> wp.vec2:
+    return wp.vec2(a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0])
+
+
+@wp.struct
+class Echo:
+    """What a pulse has of a point."""
+
+    way: wp.float64  # mean of both, less that of the reference point [m]
+    phase: wp.vec2  # e^{-j 2 pi turns} times the antenna's two-way amplitude
+
+
+@wp.func
+def echo_of(track: SensorTrack, pulse: int, point: wp.vec3d, turns_per_metre: wp.float64) -> Echo:
+    receiver = track.receiver[pulse]
+    echo = Echo()
+    echo.way = way_less_reference(receiver, point, track.receiver_own[pulse])
+    one = gain(track.beam, pulse, receiver, point)
+    if track.bistatic != 0:
+        transmitter = track.transmitter[pulse]
+        other = way_less_reference(transmitter, point, track.transmitter_own[pulse])
+        echo.way = wp.float64(0.5) * (echo.way + other)
+        one = one * gain(track.beam, pulse, transmitter, point)
+    else:
+        one = one * one
+    measured = measured_gain(track.beam, pulse, receiver, point)
+    echo.phase = one * times(turn(-echo.way * turns_per_metre), measured)
+    return echo
+
+
 @wp.kernel(enable_backward=False)
 def deposit_kernel(
     # In:
@@ -303,33 +410,24 @@ def deposit_kernel(
 ):
     """Range-compressed pulses, (polarizations, pulses, bins): each scatterer e^{-j 2 pi turns} into WIDTH bins.
 
-    A thread takes every `lanes`-th scatterer of one pulse. The way is worked out in float64, from differences.
+    A thread takes every `lanes`-th scatterer of one pulse. The way is worked out in float64, from differences. The
+    number of bins is even. On the CPU kernels/pulse_deposit.py does the same.
     """
     row, lane = wp.tid()
     pulse = pulse_in[row]
     weight = weight_in[row]
     if weight == 0.0:
         return
-    receiver = track.receiver[pulse]
-    transmitter = track.transmitter[pulse]
     bins = bins_out.shape[2]
     for step in range((scatterers.point.shape[0] - lane + lanes - 1) // lanes):
         i = lane + step * lanes
         point = scatterers.point[i]
         if scatterers.velocity.shape[0] > 0:
             point = point + track.time[pulse] * scatterers.velocity[i]
-        way = way_less_reference(receiver, point, track.receiver_own[pulse])
-        factor = weight * gain(track.beam, pulse, receiver, point)
-        if track.bistatic != 0:
-            other = way_less_reference(transmitter, point, track.transmitter_own[pulse])
-            way = wp.float64(0.5) * (way + other)
-            factor = factor * gain(track.beam, pulse, transmitter, point)
-        else:
-            factor = factor * factor / weight
-        phase = factor * turn(-way * turns_per_metre)
-        c = phase[0]
-        s = phase[1]
-        at = way * bins_per_metre
+        echo = echo_of(track, pulse, point, turns_per_metre)
+        c = weight * echo.phase[0]
+        s = weight * echo.phase[1]
+        at = echo.way * bins_per_metre
         first = int(wp.ceil(at - HALF))
         weights = weights_from(float(wp.float64(first) - at))
         low = first % bins
@@ -338,11 +436,43 @@ def deposit_kernel(
         for p in range(bins_out.shape[0]):
             a = scatterers.amplitude[p, i]
             value = wp.vec2(a[0] * c - a[1] * s, a[0] * s + a[1] * c)
-            for w in range(WIDTH):
-                bin = low + w
-                if bin >= bins:
-                    bin = bin - bins
-                wp.atomic_add(bins_out, p, row, bin, weights[w] * value)
+            add_to_bins(bins_out, p, row, low, weights, value)
+
+
+@wp.kernel(enable_backward=False)
+def gather_kernel(
+    # In:
+    pulse_in: wp.array[int],
+    track: SensorTrack,
+    turns_per_metre: wp.float64,
+    bins_per_metre: wp.float64,
+    point_in: wp.array[wp.vec3d],
+    bins_in: wp.array2d[wp.vec2],
+    # In and out:
+    amplitude_out: wp.array[wp.vec2d],
+):
+    """The adjoint of a deposit of one polarization: a point takes from bins what it gave to them, turned back."""
+    i = wp.tid()
+    total = amplitude_out[i]
+    bins = bins_in.shape[1]
+    for row in range(pulse_in.shape[0]):
+        echo = echo_of(track, pulse_in[row], point_in[i], turns_per_metre)
+        at = echo.way * bins_per_metre
+        first = int(wp.ceil(at - HALF))
+        weights = weights_from(float(wp.float64(first) - at))
+        low = first % bins
+        if low < 0:
+            low = low + bins
+        value = wp.vec2()
+        for w in range(WIDTH):
+            value += weights[w] * bins_in[row, (low + w) % bins]
+        c = echo.phase[0]
+        s = echo.phase[1]
+        total += wp.vec2d(
+            wp.float64(value[0] * c + value[1] * s),
+            wp.float64(value[1] * c - value[0] * s),
+        )
+    amplitude_out[i] = total
 
 
 @wp.struct
@@ -415,8 +545,8 @@ def image_deposit_kernel(
 ):
     """Scatterers times e^{-j 2 pi turns} into WIDTH x WIDTH cells of a grid, (polarizations, rows, columns).
 
-    Rows are ranges from the track, columns azimuths. Scatterers near the grid's border are left out. Those of the
-    core are counted, into several places: one alone would be waited for.
+    Rows are ranges from the track, columns azimuths, of an even number. Scatterers near the border are left out. Those
+    of the core are counted, into several places: one alone would be waited for.
     """
     i = wp.tid()
     some = float(0.0)
@@ -443,7 +573,8 @@ def image_deposit_kernel(
         way = way_less_reference(frame.centre, point, frame.centre_slant)
         aimed = point
     one_way = gain(frame.beam, frame.pulse, frame.receiver, aimed)
-    phase = scale * one_way * one_way * turn(-way * frame.turns_per_metre)
+    measured = measured_gain(frame.beam, frame.pulse, frame.receiver, aimed)
+    phase = scale * one_way * one_way * times(turn(-way * frame.turns_per_metre), measured)
     c = phase[0]
     s = phase[1]
     row = int(wp.ceil(row_at - HALF))
@@ -454,8 +585,7 @@ def image_deposit_kernel(
         a = amplitude_in[i, column_in[p]]
         value = wp.vec2(a[0] * c - a[1] * s, a[0] * s + a[1] * c)
         for r in range(WIDTH):
-            for q in range(WIDTH):
-                wp.atomic_add(grid_out, p, row + r, column + q, down[r] * aside[q] * value)
+            add_to_bins(grid_out, p, row + r, column, aside, down[r] * value)
 
 
 @wp.kernel(enable_backward=False)

@@ -58,23 +58,26 @@ class Rows:
 
 @wp.struct
 class Columns:
-    """What each column of pixels meets, one column after the other.
+    """What each column of pixels meets, one column after the other, in each of its bands of elevation.
 
-    Column j has the `candidates` (faces) from `first_candidate` [j] to [j + 1], and the borders of its slabs
-    (`events`, azimuths [m]) from `first_event` [j] to [j + 1].
+    Band b of column c is element j = c * bands + b. It has the `candidates` (faces) from `first_candidate` [j] to
+    [j + 1], and the borders of its slabs (`events`, azimuths [m]) from `first_event` [j] to [j + 1]. It reaches from
+    `limits` [b] to [b + 1], elevations [m].
     """
 
     candidates: wp.array(dtype=int)
     first_candidate: wp.array(dtype=int)
     events: wp.array(dtype=wp.float64)
     first_event: wp.array(dtype=int)
+    limits: wp.array(dtype=wp.float64)
 
 
 @wp.struct
 class EdgesInColumns:
-    """The edges that reach into each column, as in `Columns`: outlines, and `others`, which an outline may pass.
+    """The edges that reach into each band of a column, as in `Columns`: outlines, and `others`, which an outline may
+    pass.
 
-    `border`, (columns + 1,), are the columns' own borders [m].
+    `border`, (columns + 1,), are the columns' own borders [m]; each has `bands`.
     """
 
     outlines: wp.array(dtype=int)
@@ -82,6 +85,7 @@ class EdgesInColumns:
     others: wp.array(dtype=int)
     first_other: wp.array(dtype=int)
     border: wp.array(dtype=wp.float64)
+    bands: int
 
 
 @wp.struct
@@ -168,13 +172,13 @@ def crossing_kernel(
     count_out: wp.array(dtype=int),
     azimuth_out: wp.array(dtype=wp.float64),
 ):
-    """Azimuths in each column at which an outline passes in front of another edge.
+    """Azimuths in each band of a column at which an outline passes in front of another edge.
 
     Without room in `azimuth_out` they are only counted.
     """
     column = wp.tid()
-    begin = columns.border[column]
-    end = columns.border[column + 1]
+    begin = columns.border[column // columns.bands]
+    end = columns.border[column // columns.bands + 1]
     found = int(0)
     for i in range(columns.first_outline[column], columns.first_outline[column + 1]):
         p = columns.outlines[i]
@@ -310,9 +314,15 @@ def side_of(faces: Faces, f: int, middle: wp.float64, s: wp.float64, long_side: 
 
 @wp.func
 def gathered(faces: Faces, columns: Columns, column: int, s0: wp.float64, s1: wp.float64, room: Stretches) -> int:
-    """The faces that cross the slab, into `room` from the column's first candidate on; how many."""
+    """The faces that cross the slab, into `room` from the column's first candidate on; how many.
+
+    Their borders end at the band's limits. A side that passes a limit has an event there, so it stays straight.
+    """
     middle = REAL(0.5) * (s0 + s1)
     begin = columns.first_candidate[column]
+    band = column % (columns.limits.shape[0] - 1)
+    least = columns.limits[band]
+    most = columns.limits[band + 1]
     n = int(0)
     for k in range(begin, columns.first_candidate[column + 1]):
         f = columns.candidates[k]
@@ -321,14 +331,20 @@ def gathered(faces: Faces, columns: Columns, column: int, s0: wp.float64, s1: wp
             a1 = side_of(faces, f, middle, s1, True)
             b0 = side_of(faces, f, middle, s0, False)
             b1 = side_of(faces, f, middle, s1, False)
+            first = a0 + a1 <= b0 + b1
+            low0 = wp.where(first, a0, b0)
+            low1 = wp.where(first, a1, b1)
+            high0 = wp.where(first, b0, a0)
+            high1 = wp.where(first, b1, a1)
+            if low0 + low1 >= REAL(2.0) * most or high0 + high1 <= REAL(2.0) * least:
+                continue
             at = begin + n
             room.face[at] = f
             room.place[at] = k
-            first = a0 + a1 <= b0 + b1
-            room.low_start[at] = wp.where(first, a0, b0)
-            room.low_end[at] = wp.where(first, a1, b1)
-            room.high_start[at] = wp.where(first, b0, a0)
-            room.high_end[at] = wp.where(first, b1, a1)
+            room.low_start[at] = wp.max(low0, least)
+            room.low_end[at] = wp.max(low1, least)
+            room.high_start[at] = wp.min(high0, most)
+            room.high_end[at] = wp.min(high1, most)
             low = room.low_start[at] + room.low_end[at]
             free = at
             while free > begin and room.low_start[room.order[free - 1]] + room.low_end[room.order[free - 1]] > low:
@@ -364,7 +380,7 @@ def coverage_kernel(
     cells_out: CandidateCells,
     pieces_out: Pieces,
 ):
-    """One thread takes a column of pixels: slab by slab, from the least elevation to the largest.
+    """One thread takes a band of a column of pixels: slab by slab, from the least elevation to the largest.
 
     The adjoint needs the `pieces_out` (`coverage_adjoint`); an image alone gives them no arrays.
     """

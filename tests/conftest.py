@@ -3,6 +3,10 @@
 import os
 from pathlib import Path
 
+# Before NumPy is loaded, here or in the workers of xdist: several threads take small matrices five times as long where
+# other tests run beside.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import hypothesis
 import pytest
 

@@ -49,6 +49,10 @@ class InputError(WarpsarError):
     exit_code = 2
 
 
+class NothingLitError(InputError):
+    """No pixel of an image is lit by the model, unmasked and positive at once."""
+
+
 class DeviceError(WarpsarError):
     """The device that was asked for is not there."""
 

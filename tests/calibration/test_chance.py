@@ -16,7 +16,7 @@ pytestmark = pytest.mark.unit
 def chance(data: Differences) -> float:
     """1 where no cause lowers BIC."""
     found = best_addition(fit_model(CauseModel(()), data), Trials(data, causes(data)))
-    return 1.0 if found is None else found[1]
+    return 1.0 if found is None else found.chance
 
 
 @pytest.mark.full

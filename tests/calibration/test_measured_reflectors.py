@@ -1,4 +1,4 @@
-"""Reflectors in measured data: what docs/reflectors.md says of them."""
+"""Reflectors in measured data: what docs/reflectors-checks.md says of them."""
 
 from __future__ import annotations
 

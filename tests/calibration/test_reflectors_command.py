@@ -17,6 +17,7 @@ from stacks import gamma_image, image, safe_stack
 
 import warpsar
 from warpsar.calibration.attitude import Facing, trihedral_rcs_m2
+from warpsar.calibration.report import predicted_power
 from warpsar.cli.main import main
 from warpsar.errors import InputError
 from warpsar.formats import sentinel1
@@ -148,6 +149,9 @@ def test_products_that_cannot_be_opened_are_named(tmp_path: Path) -> None:
     assert "broken.SAFE" in result.refused[0]
     with pytest.raises(InputError, match=r"no product can be measured:\n.*not readable as XML"):
         warpsar.reflectors([broken], sites(tmp_path))
+    (tmp_path / "empty.SAFE").mkdir()
+    with pytest.raises(InputError, match=r"empty.SAFE: found a folder without annotation/; must be a SAFE folder"):
+        warpsar.reflectors([tmp_path / "empty.SAFE"], sites(tmp_path))
     plain = tmp_path / "a.npy"
     np.save(plain, np.ones((3, 3)))
     with pytest.raises(InputError, match="says no orbit; must be one of gamma, nisar, sentinel1"):
@@ -190,6 +194,7 @@ def test_an_open_product_is_taken_and_a_date_before_the_set_up_is_marked(tmp_pat
     result = warpsar.reflectors(product, table, engine=False)
     (one,) = result.observations
     assert (one.status, one.stands) == ("not seen", False)
+    assert np.ptp(predicted_power(one)) == 0.0  # clutter alone
     assert result.explanation.bad_dates == ()
     assert result.geolocation is None
 

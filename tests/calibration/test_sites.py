@@ -119,7 +119,8 @@ def test_what_isce3s_layout_cannot_say_is_named(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("", "at least one site"),
-        ("id,lat,lon\nA,1,2\n", "must have id, latitude_deg"),
+        ("id,lat,lon\nA,1,2\n", "without latitude_deg, longitude_deg, height_m; must have id, latitude_deg"),
+        ("id,latitude_deg,longitude_deg,hight_m\nA,1,2,3\n", "without height_m; must .* did you mean height_m?"),
         (
             OWN + "A,146,12,250,256,10,square,1.5,,\n",
             "line 2: latitude_deg: found '146'; must be a number from -90 to 90",
@@ -128,7 +129,7 @@ def test_what_isce3s_layout_cannot_say_is_named(tmp_path: Path) -> None:
         (OWN + "A,46,12,250,256,10,round,1.5,,\n", "shape: found 'round'; must be one of triangular, square"),
         (OWN + "A,46,12,250,256,10,square,-1,,\n", "leg_m: found '-1'; must be a number from 0.01 to 100"),
         (OWN + "A,46,12,250,256,10,square,1,soon,\n", "from: found 'soon'; must be a date"),
-        (OWN + "A,46,12,250,,,,,,\nA,46,12,250,,,,,,\n", "line 3: found A twice"),
+        (OWN + "A,46,12,250,,,,,,\nA,46,12,250,,,,,,\n", "line 3: id: found 'A', as in line 2; must be there once"),
         (NISAR.replace(", 7,", ", 9,"), "line 2: validity: found '9'; must be a number from 0 to 7"),
         (GECORIS.replace("SQUAREFLIPPED", "SQUAREBASED"), "crshape: found 'SQUAREBASED'"),
     ],

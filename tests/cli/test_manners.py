@@ -10,6 +10,7 @@ import pytest
 import warpsar
 from warpsar.runtime import console
 from warpsar.simulation import SimulatedView
+from warpsar.world.tables import Radar
 
 pytestmark = pytest.mark.unit
 
@@ -68,8 +69,12 @@ def test_a_scene_and_a_mesh_show_in_one_line() -> None:
     made = scene()
     assert repr(made) == "<Scene scene in memory: 1 views, 2 triangles>"
     assert repr(made.mesh) == "<Mesh: 2 triangles, 4 vertices, materials lawn>"
-    assert len(repr(made.views[0])) < 1000
-    assert "\n" not in repr(made.views[0])
+
+
+def test_a_table_shows_what_is_not_as_by_default() -> None:
+    radar = Radar(frequency_hz=9.6e9, polarizations=("HH",), max_bounces=30)
+    assert repr(radar) == "Radar(frequency_hz=9600000000.0, polarizations=('HH',))"
+    assert repr(radar.model_copy(update={"max_bounces": 3})).endswith(", max_bounces=3)")
 
 
 def test_results_show_in_one_line() -> None:

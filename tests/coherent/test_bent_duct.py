@@ -106,6 +106,7 @@ def test_a_bend_returns_what_enters(modes, electric: bool) -> None:
     assert flux == pytest.approx(flux.T, abs=1e-6)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("make", "coherence"),
     [

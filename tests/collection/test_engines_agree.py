@@ -48,7 +48,7 @@ def both(made: warpsar.Scene, draws: int) -> tuple[dict[str, float], dict[str, f
     return found, {name: pixel * float(image.astype(float).sum()) for name, image in expected.items()}
 
 
-@pytest.mark.parametrize("azimuth_deg", [0.0, 25.0])
+@pytest.mark.parametrize("azimuth_deg", [pytest.param(0.0, marks=pytest.mark.full), 25.0])
 def test_totals_of_a_block_on_rough_ground(azimuth_deg: float) -> None:
     """In its flash, and far off it: within 0.5 dB, as 6 draws tell to 0.1 dB."""
     mesh = mesh_of(soil=ground(10.0), brick=box((-2.0, -1.5, 0.0), (2.0, 1.5, 2.0)))
@@ -60,6 +60,7 @@ def test_totals_of_a_block_on_rough_ground(azimuth_deg: float) -> None:
             assert 10.0 * np.log10(found[name] / level) == pytest.approx(0.0, abs=0.5), name
 
 
+@pytest.mark.full
 def test_a_wall_mirrors_very_rough_ground() -> None:
     """Geometric optics: there and back add up as fields, 4 |R|^2 / 2 m^2 of L h tan(theta) of ground, in HH.
 
@@ -105,7 +106,7 @@ def test_what_scatters_a_bounce_belongs_to_places() -> None:
 @pytest.mark.full
 def test_the_ends_of_a_corner_off_its_flash() -> None:
     """A dihedral of 2.4 m, 5 degrees off its flash: both engines have its two ends, with one total. Complex images have
-    them at the foot's ends, to a pixel of 1/16 m; images of power up to half a cell of 0.5 m farther in."""
+    them at the foot's ends, to a pixel of 1/16 m; images of power to 0.1 m, where a cell is 0.5 m."""
     wall, floor = plate((-1.2, -1.0, 0.0), (2.4, 0.0, 0.0), (0.0, 0.0, 2.0)), plate((-4, -1, 0), (8, 0, 0), (0, 6, 0))
     mesh = mesh_of(metal=wall, floor=floor)
     made = scene(mesh, {"metal": METAL, "floor": METAL}, 5.0, frequency_hz=5.2e9, polarizations=("VV",))
@@ -127,4 +128,4 @@ def test_the_ends_of_a_corner_off_its_flash() -> None:
     print("farther in [m]:", np.round(inward, 2).tolist())
     assert 10.0 * np.log10(totals[0] / totals[1]) == pytest.approx(0.0, abs=0.3)
     assert inward[0] == pytest.approx([0.0, 0.0], abs=0.1)
-    assert inward[1] == pytest.approx([0.15, 0.15], abs=0.1)
+    assert inward[1] == pytest.approx([0.0, 0.0], abs=0.1)

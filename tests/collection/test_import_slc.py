@@ -17,7 +17,6 @@ from test_rough_ground import MATERIALS, yard
 import warpsar
 from warpsar.cli.main import main
 from warpsar.collection.command import run
-from warpsar.collection.response import width_in_cells
 from warpsar.formats import registry
 from warpsar.formats.base.data import Facts, ImageChip
 from warpsar.formats.base.declared import WINDOWS
@@ -25,6 +24,7 @@ from warpsar.io import complex_image
 from warpsar.measured.importer import Imported, import_measured
 from warpsar.measured.resample import sample_complex
 from warpsar.world.tables import Origin
+from warpsar.world.taper import width_in_cells
 
 pytest.importorskip("sarkit")
 RESOLUTION = (0.6, 0.7)

@@ -5,13 +5,18 @@ from __future__ import annotations
 import warnings
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import warp as wp
 from collected_scenes import ROUGH, SPOT, WAVELENGTH, field, scene, square_trihedral
+from scipy import fft
 from scipy.interpolate import CubicSpline
 
 import warpsar
+from warpsar.coherent.records import upload
+from warpsar.collection import history as histories
 from warpsar.collection import track_file
 from warpsar.collection.command import run
 from warpsar.collection.history import Collected
@@ -20,6 +25,7 @@ from warpsar.collection.plan import Plan, plan_of
 from warpsar.collection.scatterers import ScattererPart, Scatterers
 from warpsar.formats import registry
 from warpsar.formats.base.data import PhaseHistory
+from warpsar.kernels import collection as kernels
 from warpsar.measured.focus import cell_m, focus
 from warpsar.measured.placed import frame_of
 from warpsar.runtime import devices
@@ -76,6 +82,28 @@ def test_the_deposit_is_the_sum(track: str, device: str) -> None:
     error = np.abs(found - wanted) / np.sqrt((np.abs(wanted) ** 2).mean())
     assert 20.0 * np.log10(np.sqrt((error**2).mean())) < -95.0
     assert 20.0 * np.log10(error.max()) < -80.0
+
+
+@pytest.mark.parametrize("track", ["bistatic", "beam"])
+def test_the_kernel_of_cuda_makes_the_same_bins(track: str) -> None:
+    """On the CPU, too, where another one does its work: eight scatterers at once, weights from a table."""
+    tracks: dict[str, Any] = {"beam": {"antenna": Antenna(azimuth_deg=0.3, elevation_deg=0.2)}, **TRACKS}
+    planned, cpu = plan(collection={"resolution_m": (1.0, 1.0), **tracks[track]}), devices.resolve_device("cpu")
+    random = np.random.default_rng(2)
+    place, speed = random.uniform(-14.0, 14.0, (2, 30, 3))
+    amplitude = (random.normal(size=(2, 30, 2)) @ [1.0, 1j]).astype(np.complex64)
+    part = ScattererPart(place, amplitude, np.ones(len(planned.track), np.float32), speed)
+    device_part, device_track = histories.PartOnDevice.of(part, cpu), histories.track_of(planned, cpu)
+    found, some = np.zeros((2, len(planned.track), planned.frequencies), np.complex64), slice(3, 20)
+    histories.add_spectra(planned, device_track, [part], found, some)
+    bins, pulses = histories.bins_of(planned), np.arange(some.start, some.stop, dtype=np.int32)
+    out = wp.zeros((2, len(pulses), bins), dtype=wp.vec2, device=cpu)
+    inputs = [upload(pulses, int, cpu), upload(part.weight[some], float, cpu), device_track]
+    inputs += [*histories.scales(planned), device_part.scatterers, 5]
+    wp.launch(kernels.deposit_kernel, (len(pulses), 5), inputs=inputs, outputs=[out], device=cpu)
+    profiles = np.ascontiguousarray(out.numpy()).view(np.complex64)[..., 0]
+    wanted = histories.undeposited(fft.fft(profiles, axis=-1), planned.frequencies)
+    np.testing.assert_allclose(found[:, some], wanted, atol=2e-5 * np.abs(wanted).max())
 
 
 @pytest.mark.parametrize("distance", [1e4, 1e7])

@@ -1,4 +1,4 @@
-"""A phase error in an own SICD, through `warpsar import` to what `diagnose` asks of the phase."""
+"""A phase error in an own SICD or CPHD, through `warpsar import` to what `diagnose` asks of the phase."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -6,14 +6,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from collected_scenes import ROUGH, scene
+from collected_scenes import ROUGH, WAVELENGTH, scene
 from worlds import mesh_of, plate
 
 import warpsar
 from warpsar.collection.command import run
-from warpsar.diagnosis.phase.declared import PhaseAsked, ask_phase, with_phase_errors
+from warpsar.diagnosis.phase.declared import PhaseAsked, ask_phase, named_in, with_phase_errors
+from warpsar.effects.base.product import Product
 from warpsar.measured.importer import import_measured
+from warpsar.world.collection import CollectionErrors
 from warpsar.world.tables import Origin
+from warpsar.world.taper import width_in_cells
 
 pytest.importorskip("sarkit")
 TURN = 2.0 * np.pi
@@ -41,24 +44,29 @@ def lawn_with_plates() -> warpsar.Mesh:
     return mesh_of(soil=soil, plates=(np.concatenate(vertices), np.concatenate(faces)))
 
 
-def asked_of(folder: Path, mesh: warpsar.Mesh, quadratic_rad: float) -> tuple[warpsar.Scene, PhaseAsked]:
-    """The scene of the imported SICD, which declares no phase error, and what is said of its view."""
+def asked_of(
+    folder: Path, mesh: warpsar.Mesh, quadratic_rad: float, product: Product = "slc", **collection: Any
+) -> tuple[warpsar.Scene, PhaseAsked]:
+    """The scene of the imported SICD or CPHD, which declares no phase error, and what is said of its view."""
     made: Any = scene(
         mesh,
         shape=(PIXELS, PIXELS),
         spacing=FINE_M,
         radar={"terms": ("rough",)},
-        collection={"focus": "direct", "resolution_m": None},
+        collection={"focus": "direct" if product == "slc" else "backprojection", "resolution_m": None} | collection,
         origin=Origin(latitude_deg=48.1, longitude_deg=11.6, height_m=500.0),
     )
     error = {"phase_error": {"quadratic_rad": {"v0": quadratic_rad}}} if quadratic_rad else {}
     materials = {name: warpsar.Material(**(BRIGHT if name == "plates" else ROUGH)) for name in mesh.materials}
     made = replace(made, views=[VIEW], materials=materials, effects={"point_spread": BLUR, **NOISE, **error})
     made.save(folder / "fine.toml")
-    run(folder / "fine.toml", folder / "slc", "slc", device="cpu")
+    run(folder / "fine.toml", folder / product, product, device="cpu")
     grid = warpsar.Grid(shape=(PIXELS // 2, PIXELS // 2), spacing_m=(2.0 * FINE_M[0], 2.0 * FINE_M[1]))
-    replace(made, collection=None, grid=grid, effects=NOISE).save(folder / "measured.toml")
-    import_measured([folder / "slc" / "v0.nitf"], folder / "measured.toml", "v0", device="cpu")
+    seen = [VIEW.model_copy(update={key: collection[key] for key in ("slant_range_m",) if key in collection})]
+    replace(made, collection=None, grid=grid, effects=NOISE, views=seen).save(folder / "measured.toml")
+    source = folder / product / ("v0.nitf" if product == "slc" else "v0.cphd")
+    windows = {} if product == "slc" else {"window_range": "taylor", "window_azimuth": "taylor"}
+    import_measured([source], folder / "measured.toml", "v0", samples=(2, 2), device="cpu", **windows)
     read = warpsar.Scene.load(folder / "measured.toml")
     (found,) = ask_phase(read)
     return read, found
@@ -75,6 +83,44 @@ def test_an_error_in_an_own_sicd_is_named_and_measured(mesh: warpsar.Mesh, tmp_p
     assert table["fixed"] is True
     (again,) = ask_phase(with_phase_errors(read, [one]))
     assert again.found.outcome == "declared"
+
+
+@pytest.mark.full
+def test_an_error_in_an_own_cphd_is_named_and_measured(tmp_path: Path) -> None:
+    """The phase history is focused by `import`, which declares its blur, and the error is that of the pulses."""
+    read, one = asked_of(tmp_path, lawn_with_plates(), TURN, "phase-history")
+    spread = read.effects["point_spread"]
+    assert (spread["range_fwhm_m"], spread["azimuth_fwhm_m"]) == pytest.approx((0.6, 0.7), rel=0.01)
+    assert spread["window"] == "taylor"
+    assert one.found.outcome == "named", one.words
+    assert one.table()["quadratic_rad"] == pytest.approx(TURN, rel=0.05)
+
+
+@pytest.mark.full
+def test_an_error_of_the_track_is_told_from_one_of_the_phase(tmp_path: Path) -> None:
+    """A recorded track that leaves the true one across the line of sight: no range in the middle has an error, and
+    those at the ends have 2 pi, in proportion to the sine of the angle between their look directions."""
+    slant, speed = 500.0, 100.0
+    angle = np.deg2rad(VIEW.incidence_deg)
+    far = slant + 0.5 * PIXELS * FINE_M[0]
+    widest = np.sin(np.arccos(slant * np.cos(angle) / (2.0 * slant - far)) - angle)  # the nearer end
+    error_m = TURN * WAVELENGTH / (4.0 * np.pi * abs(widest))
+    aperture_rad = width_in_cells("taylor") * WAVELENGTH / (2.0 * BLUR["azimuth_fwhm_m"])
+    half_s = 0.5 * slant * aperture_rad / speed
+    toward = np.array(
+        [0.0, np.cos(angle), -np.sin(angle)]
+    )  # as the look direction turns with range; the radar is north
+    time = np.linspace(-1.1 * half_s, 1.1 * half_s, 201)
+    rows = [",".join(f"{value:.9f}" for value in (t, *(error_m * (t / half_s) ** 2 * toward))) for t in time]
+    path = tmp_path / "error.csv"
+    path.write_text("time_s,x_m,y_m,z_m\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    more = {"slant_range_m": slant, "speed_m_s": speed, "errors": CollectionErrors(track=path)}
+    _, one = asked_of(tmp_path, lawn_with_plates(), 0.0, "phase-history", **more)
+    assert one.motion is not None
+    assert one.motion.outcome == "named", one.words
+    assert one.aside_m * one.motion.aside[0] == pytest.approx(error_m, rel=0.1), one.words
+    assert abs(one.motion.same[0]) < 0.1 * TURN
+    assert named_in([one]) == ["motion_error"]
 
 
 @pytest.mark.full

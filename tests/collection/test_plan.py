@@ -13,9 +13,9 @@ from collected_scenes import FREQUENCY, SPOT, WAVELENGTH, field, scene
 import warpsar
 from warpsar.collection.plan import Plan, plan_of
 from warpsar.collection.presets import PRESETS
-from warpsar.collection.response import width_in_cells
 from warpsar.world.collection import Collection
 from warpsar.world.frame import SPEED_OF_LIGHT
+from warpsar.world.taper import width_in_cells
 
 pytestmark = pytest.mark.unit
 

@@ -64,6 +64,7 @@ def test_parts_are_as_small_as_asked() -> None:
     assert sum(sizes) == found.count
 
 
+@pytest.mark.full
 def test_the_scatterers_of_a_forecast(monkeypatch: pytest.MonkeyPatch) -> None:
     """A forecast counts the scatterers that the work then finds. Its time is in docs/benchmarks.md."""
     monkeypatch.setattr(forecasting, "LONG_S", 0.0)

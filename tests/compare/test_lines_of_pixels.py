@@ -1,4 +1,4 @@
-"""Rows and columns that vary otherwise than the model: ripples, lines, and how often speckle alone is taken for one."""
+"""Rows and columns that vary otherwise than the model: ripples, lines, seams; and how often speckle alone does."""
 
 from dataclasses import replace
 
@@ -9,11 +9,12 @@ from scipy.stats import chi2
 
 from warpsar.compare.comparison import Comparison
 from warpsar.compare.judgement import SHARE, WINDOW_DB, judge
-from warpsar.compare.profiles import BAND, TOGETHER, Profiles
+from warpsar.compare.profiles import BANDS, TOGETHER, Profiles
 
 SHAPE = (72, 84)
 ROWS, COLS = np.mgrid[: SHAPE[0], : SHAPE[1]]
 GRANTED = 10.0 ** (WINDOW_DB / 10.0) - 1.0
+WHITE = np.array([[1.0]])
 
 
 def images_of(factor: np.ndarray | float = 1.0, looks: float = 4.0, views: int = 4, seed: int = 0) -> list[Comparison]:
@@ -69,7 +70,7 @@ def test_an_offset_within_what_is_granted_is_none_on_large_images() -> None:
         for k in range(4)
     ]
     residuals = [one.residual[one.usable] for one in images]
-    profiles = Profiles(images, 1.0)
+    profiles = Profiles(images, WHITE)
     assert profiles.strongest(residuals, GRANTED).surprise < 5.0
     assert profiles.strongest(residuals, 1e-9).surprise > 500.0
 
@@ -78,7 +79,9 @@ def test_polarizations_of_a_view_are_not_summed() -> None:
     """They may share their speckle: two that are equal are as surprising as one."""
     images = images_of(ripple_db(0.3, 14.0, ROWS), views=1)
     twice = [images[0], replace(images[0], seen=replace(images[0].seen, polarization="VV"))]
-    one, both = (Profiles(some, 1.0).strongest([i.residual[i.usable] for i in some], 1e-9) for some in (images, twice))
+    one, both = (
+        Profiles(some, WHITE).strongest([i.residual[i.usable] for i in some], 1e-9) for some in (images, twice)
+    )
     assert both.surprise == pytest.approx(one.surprise)
 
 
@@ -108,28 +111,47 @@ def test_a_smear_is_a_line() -> None:
     assert abs(found.window.row - 30.5) <= 1.5
 
 
-def test_bands_are_sums_of_pixels_away_from_edges() -> None:
-    """By hand: two images, one band of each counted where pixels are even."""
+def test_bands_and_sides_of_cuts_are_sums_of_pixels_away_from_edges() -> None:
+    """By hand: two images, and both together; pixels that are not even count nowhere."""
     images = images_of(views=2)
     rng = np.random.default_rng(3)
     residuals = [rng.standard_normal(int(one.usable.sum())) for one in images]
     expected = 0.0
     for group in ([0], [1], [0, 1]):
         for axis in (0, 1):
-            squares, bands = 0.0, 0
-            for first in range(0, SHAPE[axis], BAND):
-                total, count = 0.0, 0
-                for k in group:
-                    full = np.zeros(SHAPE)
-                    full[images[k].usable] = residuals[k]
-                    part = full.take(range(first, min(first + BAND, SHAPE[axis])), axis=axis)
-                    total += part.sum()
-                    count += int((part != 0).sum())
-                if count >= 30:
-                    squares += total**2 / (2.0 * count)
-                    bands += 1
-            expected = max(expected, -chi2.logsf(squares, bands))
-    largest = Profiles(images, 2.0).largest([one[:, None] for one in residuals])
-    assert largest[0] == pytest.approx(expected, rel=1e-5)
-    assert Profiles(images, 2.0).strongest(residuals, 1e-9).surprise == pytest.approx(expected, rel=1e-5)
-    assert Profiles(images, 2.0).strongest(residuals, GRANTED).surprise < expected
+            sums, counts = np.zeros(SHAPE[axis]), np.zeros(SHAPE[axis])
+            for k in group:
+                full = np.zeros(SHAPE)
+                full[images[k].usable] = residuals[k]
+                sums += full.sum(axis=1 - axis)
+                counts += (full != 0).sum(axis=1 - axis)
+            for width in BANDS:
+                starts = np.arange(0, SHAPE[axis], width)
+                totals, pixels = np.add.reduceat(sums, starts), np.add.reduceat(counts, starts)
+                squares = (totals**2 / (2.0 * np.maximum(pixels, 1.0)))[pixels >= 30]
+                expected = max(expected, -chi2.logsf(squares.sum(), squares.size))
+            cuts = []
+            for cut in range(1, SHAPE[axis]):
+                one, other = counts[:cut].sum(), counts[cut:].sum()
+                if min(one, other) >= 30:
+                    step = sums[:cut].sum() / one - sums[cut:].sum() / other
+                    cuts.append(step**2 / (2.0 / one + 2.0 / other))
+            expected = max(expected, -chi2.logsf(max(cuts), 1) - np.log(len(cuts)))
+    profiles = Profiles(images, np.array([[2.0]]))
+    assert profiles.largest([one[:, None] for one in residuals])[0] == pytest.approx(expected, rel=1e-5)
+    assert profiles.strongest(residuals, 1e-9).surprise == pytest.approx(expected, rel=1e-5)
+    assert profiles.strongest(residuals, GRANTED).surprise < expected
+
+
+def test_lines_that_are_lost_and_a_seam_are_surprising() -> None:
+    """At two looks: every ninth column at half its power, and one half of every image 0.9 dB brighter. Draws of speckle
+    alone have a surprise of 5 in one of a hundred."""
+    lost, seam = np.ones(SHAPE), np.full(SHAPE, 10.0**-0.045)
+    lost[:, 4::9] = 0.5
+    seam[:, SHAPE[1] // 2 :] = 10.0**0.045
+    for factor in (lost, seam):
+        images = images_of(factor, looks=2.0)
+        found = Profiles(images, WHITE).strongest([one.residual[one.usable] for one in images], GRANTED)
+        assert found.surprise > 20.0
+        assert found.axis == "azimuth"
+    assert found.rms_db == pytest.approx(0.9, abs=0.2)

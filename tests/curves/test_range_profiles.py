@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -38,8 +39,10 @@ profiles = {{ bins = 3, bin = 1, azimuths_deg = [110.0, 70.0] }}
 BINS, COUNT, GAIN = 3, 81, 7.0
 
 
-def folder_with_plates(folder: Path) -> Path:
+@pytest.fixture(scope="module")
+def plates(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A small plate whose profiles are for training, and a large one of the same gain, which is to be foretold."""
+    folder = tmp_path_factory.mktemp("plates")
     text = SCENE
     for name, half in (("small", 0.05), ("large", 0.15)):
         (folder / f"{name}.obj").write_text(PLATE.format(x=0, y=half))
@@ -51,11 +54,18 @@ def folder_with_plates(folder: Path) -> Path:
         profiles.tofile(folder / f"{name}.bin")
         text += CURVE.format(name=name)
     (folder / "scene.toml").write_text(text + 'mesh = "large.obj"\nrole = "test"\n')
-    return folder / "scene.toml"
+    return folder
 
 
-def test_one_body_tells_the_level_of_another(tmp_path: Path) -> None:
-    scene = warpsar.Scene.load(folder_with_plates(tmp_path))
+@pytest.fixture
+def path(plates: Path, tmp_path: Path) -> Path:
+    """The scene file, in a folder of the test's own."""
+    shutil.copytree(plates, tmp_path, dirs_exist_ok=True)
+    return tmp_path / "scene.toml"
+
+
+def test_one_body_tells_the_level_of_another(path: Path, tmp_path: Path) -> None:
+    scene = warpsar.Scene.load(path)
     train, test = compare_curves(scene, device="cpu")
     assert train.content()["fitted_level_db"] == pytest.approx(-20.0 * np.log10(GAIN), abs=1e-3)  # complex64
     assert test.seen.fitted_level_db == train.seen.fitted_level_db
@@ -88,20 +98,18 @@ def test_a_bin_is_the_mean_over_the_band(tmp_path: Path, bins: float) -> None:
         ('mesh = "large.obj"', 'mesh = "none.obj"', "none.obj"),
     ],
 )
-def test_what_does_not_fit_is_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
-    path = folder_with_plates(tmp_path)
+def test_what_does_not_fit_is_refused(path: Path, old: str, new: str, message: str) -> None:
     path.write_text(path.read_text().replace(old, new))
     with pytest.raises(InputError, match=message):
         warpsar.Scene.load(path)
 
 
-def test_a_mesh_of_another_material_is_refused(tmp_path: Path) -> None:
-    path = folder_with_plates(tmp_path)
+def test_a_mesh_of_another_material_is_refused(path: Path, tmp_path: Path) -> None:
     (tmp_path / "large.obj").write_text("usemtl wood\n" + PLATE.format(x=0, y=0.15))
     with pytest.raises(InputError, match="'wood'"):
         warpsar.Scene.load(path)
 
 
-def test_diagnose_takes_one_body(tmp_path: Path) -> None:
+def test_diagnose_takes_one_body(path: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"curves\[1\].mesh"):
-        diagnose_curves(warpsar.Scene.load(folder_with_plates(tmp_path)), tmp_path / "cache")
+        diagnose_curves(warpsar.Scene.load(path), tmp_path / "cache")

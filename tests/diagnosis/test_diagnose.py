@@ -104,6 +104,7 @@ def test_a_gradient_is_found(graded: Ran) -> None:
         assert sd * EFFECTS_SPAN < 0.3 * abs(value)
 
 
+@pytest.mark.full
 def test_json_is_what_the_contract_says(graded: Ran) -> None:
     content = graded.content
     for role in ("train", "test"):
@@ -129,6 +130,7 @@ def test_json_is_what_the_contract_says(graded: Ran) -> None:
         assert set(values) == {"eps_r", "rms_height_m", "correlation_length_m"}
 
 
+@pytest.mark.full
 def test_the_error_falls_to_the_floor_where_nothing_was_fitted(graded: Ran) -> None:
     before, after = (graded.content[when]["test"] for when in ("before", "after"))
     assert before["deviance"] > 1.5
@@ -138,6 +140,7 @@ def test_the_error_falls_to_the_floor_where_nothing_was_fitted(graded: Ran) -> N
     assert gain["deviance"] > 2 * gain["error"]
 
 
+@pytest.mark.full
 def test_stdout_is_one_line_of_results(graded: Ran) -> None:
     (line,) = graded.stdout.splitlines()
     assert line.startswith("eps_gradient; edges agree to ")
@@ -146,6 +149,7 @@ def test_stdout_is_one_line_of_results(graded: Ran) -> None:
     assert "holds: eps_gradient: 2 ln L +" in graded.stderr
 
 
+@pytest.mark.full
 def test_console_json_and_report_say_the_same_of_every_turn(graded: Ran) -> None:
     """What was added comes first, with its gain; then what was not, and why. The numbers are those of the JSON."""
     lines = graded.stderr.splitlines()
@@ -207,6 +211,7 @@ def test_scene_that_comes_out_simulates_evaluates_and_is_sound(graded: Ran, tmp_
     assert len(images) == len(ANGLES)
 
 
+@pytest.mark.full
 def test_report_stands_alone_and_says_it_all(graded: Ran) -> None:
     reader = assert_alone((graded.out / "report.html").read_text(encoding="utf-8"))
     for title in (
@@ -225,7 +230,7 @@ def test_report_stands_alone_and_says_it_all(graded: Ran) -> None:
     for name in ("v0 HH, train", "v3 HH, test"):
         assert sum(text.startswith(f"{name}, before") for text in described) == 1
         assert sum(text.startswith(f"{name}, after") for text in described) == 1
-    assert sum("what is left, from azimuth" in text for text in described) == 2
+    assert sum("the residual, from azimuth" in text for text in described) == 2
     for effect in names():
         assert (effect in reader.text) == (not get(effect).of_phase)
     assert "nan" not in reader.text.replace("finance", "")

@@ -98,6 +98,7 @@ def test_a_shift_of_bright_lines_is_searched_for(shifted: tuple[FitSetup, Scene]
     )
 
 
+@pytest.mark.full
 def test_a_shift_that_aim_points_contain_is_not_searched_for(shifted: tuple[FitSetup, Scene]) -> None:
     """A model with free aim points moves no number of registration, so a search has none to begin at."""
     setup, scene = shifted
@@ -106,6 +107,7 @@ def test_a_shift_that_aim_points_contain_is_not_searched_for(shifted: tuple[FitS
         assert surveyed(setup, aimed, "registration", trial) == list(trial.starts)
 
 
+@pytest.mark.full
 def test_the_search_leads_the_fit_where_the_slope_at_zero_does_not(shifted: tuple[FitSetup, Scene]) -> None:
     setup, scene = shifted
     base = fit_model(setup, scene, 0, 0)
@@ -178,6 +180,7 @@ def test_a_surface_that_was_dragged_away_comes_back_from_the_declared_one(floor:
 # What is dropped
 
 
+@pytest.mark.full
 def test_what_the_newest_effect_makes_needless_is_dropped(
     shifted: tuple[FitSetup, Scene], tmp_path_factory: pytest.TempPathFactory
 ) -> None:
@@ -210,6 +213,7 @@ def test_power_that_another_effect_adds_as_well_is_dropped(tmp_path_factory: pyt
     assert turn.dropped == []
 
 
+@pytest.mark.full
 def test_shifts_of_views_that_are_all_alike_become_one(
     shifted: tuple[FitSetup, Scene], tmp_path_factory: pytest.TempPathFactory
 ) -> None:
@@ -297,6 +301,7 @@ def never(model: Fitted, name: str) -> bool:
     return False
 
 
+@pytest.mark.full
 def test_what_is_not_there_is_taken_back_and_what_is_there_holds(shifted: tuple[FitSetup, Scene]) -> None:
     """A shift that is there holds beside a blur that is not, though the blur was added too."""
     setup, scene = shifted

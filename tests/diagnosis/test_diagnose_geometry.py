@@ -13,7 +13,7 @@ from test_diagnose import ANGLES, saved
 from worlds import box, ground, mesh_of, scene_of, view
 
 from warpsar.diagnosis.command import run
-from warpsar.diagnosis.found import DiagnoseOptions, Turn
+from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Turn
 from warpsar.diagnosis.models.all_pixels import Exact, lit_shadows, log_likelihood
 from warpsar.diagnosis.models.change import changes, composed, content, scene_with, without_change, without_object
 from warpsar.diagnosis.models.effect_gain import EffectGain
@@ -23,8 +23,9 @@ from warpsar.diagnosis.models.movable import bodies, disjoint, freed, refined_wo
 from warpsar.diagnosis.models.refit import BOUND, Fitted, refit_as
 from warpsar.diagnosis.result import diagnose
 from warpsar.diagnosis.search import loop as search
-from warpsar.diagnosis.turn.geometry_search import _foretold, screening
+from warpsar.diagnosis.turn.geometry_search import Screened, _foretold, screening
 from warpsar.diagnosis.turn.geometry_trial import with_all_anew
+from warpsar.diagnosis.turn.sensor_search import Hypothesis
 from warpsar.differentiable.geometry import exact_images
 from warpsar.io import checkpoint
 from warpsar.learning.geometry import still
@@ -190,6 +191,7 @@ def test_free_aim_points_hold_places_where_no_body_stays() -> None:
 # ---- how models are compared ----
 
 
+@pytest.mark.full
 def test_log_likelihood_of_all_pixels(nothing: Scene) -> None:
     """By hand: - sum of b ln(1 + t / b), t = L (r - 1 - ln r) of the ratio of the images with a twentieth of the lit
     pixels' median added; two pixels at the edge are left out, and pixels that measure 0 count."""
@@ -347,6 +349,7 @@ def test_bodies_stay_where_that_is_asked(moved: Scene, tmp_path: Path) -> None:
     assert not any(step.get("object") for step in content["steps"])
 
 
+@pytest.mark.full
 def test_the_scene_has_the_object_there(found: tuple[Path, dict[str, Any]]) -> None:
     out, content = found
     scene = Scene.load(out / "scene.toml")
@@ -425,6 +428,32 @@ def test_an_object_and_an_effect_are_both_found(there: str, effects: dict[str, A
 def test_a_shift_of_everything_is_registration(tmp_path: Path) -> None:
     truth = replace(true_scene(), effects={"registration": {"range_m": 0.33, "azimuth_m": -0.41}})
     assert diagnose(case(tmp_path, truth), device="cpu", options=QUICK).diagnosis.verdict == ["registration"]
+
+
+@pytest.mark.parametrize(
+    ("angle", "moved", "area", "worth"),
+    [(0.5, 26.9, 1.0, True), (0.5, 8.0, 1.0, False), (0.5, 26.9, 3.0, False), (25.0, 1.0, 1.0, True)],
+)
+def test_a_quiet_turn_asks_for_what_speckle_hardly_foretells(
+    angle: float, moved: float, area: float, worth: bool
+) -> None:
+    """-ln p of chi-square by hand: 53.8 with 4 numbers 24.7, 16 6.5, 17.9 (correlated) 7.3, 50 with one 28.3; less ln 3
+    for what is asked."""
+    sensor = [Hypothesis("view_angles", "v0", ("views.v0.azimuth_deg",), angle)]
+    assert search._promising(sensor, [Screened("hut", moved, 0.2, 0.0)], area, 7.0) is worth
+
+
+def test_effects_far_below_what_geometry_is_foretold_wait() -> None:
+    """Of the shared cases: bounces score a tenth of what a body is foretold beside them, and are fitted; a smear of a
+    wrong spacing scores a fiftieth. Shifts are fitted if all images are foretold to gain by them."""
+
+    def names(shifts: float, **scores: float) -> list[str]:
+        asked = [Candidate(name, "testable", statistic=one, minus_log_p=one / 2.0) for name, one in scores.items()]
+        return [one.effect for one in search._beside_geometry(asked, 5000.0, shifts)]
+
+    assert names(100.0, multibounce=1100.0, aim_point=900.0) == ["multibounce"]
+    assert names(3000.0, multibounce=1100.0, aim_point=900.0) == ["multibounce", "aim_point"]
+    assert names(100.0, unresolved_detail=248.0, saturation=30.0) == []
 
 
 @pytest.mark.full

@@ -5,14 +5,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from warpsar.diagnosis.phase.ask import asked, folds_of
-from warpsar.diagnosis.phase.fit import POLYNOMIAL, QUADRATIC, fitted
+from warpsar.diagnosis.phase.ask import asked, asked_of_motion, folds_of
+from warpsar.diagnosis.phase.fit import MOTION, POLYNOMIAL, QUADRATIC, fitted
 from warpsar.diagnosis.phase.spectrum import AzimuthSpectrum, corrected, mean_contrast_and_slope
 from warpsar.world.taper import taper
 
 SPACING, CELLS = (0.3, 0.35), (0.59, 0.59)
 ROWS, COLS = 128, 160
 TURN = 2.0 * np.pi
+ASIDE = np.linspace(-1.0, 1.0, ROWS)
+"""Of each row: how far its look direction is turned."""
 
 
 def image(phase: Any, *, points: int = 0, edge: bool = False, seed: int = 0, shape: Any = (ROWS, COLS)) -> np.ndarray:
@@ -34,7 +36,8 @@ def image(phase: Any, *, points: int = 0, edge: bool = False, seed: int = 0, sha
 
 
 def folds(made: np.ndarray) -> list[AzimuthSpectrum]:
-    return [AzimuthSpectrum.of(made[mask], SPACING, CELLS) for mask in folds_of(len(made), SPACING[0], CELLS[0])]
+    masks, aside = folds_of(len(made), SPACING[0], CELLS[0]), np.resize(ASIDE, len(made))
+    return [AzimuthSpectrum.of(made[mask], SPACING, CELLS, aside[mask]) for mask in masks]
 
 
 def test_slope_is_that_of_differences() -> None:
@@ -49,6 +52,17 @@ def test_slope_is_that_of_differences() -> None:
     assert value == pytest.approx(corrected(lines, phase).mean(), rel=1e-6)
     # Fields are held in single precision while they are transformed: 1e-6 of a contrast of 0.5, over 2e-3.
     assert slope @ change == pytest.approx((ends[0] - ends[1]) / (2.0 * step), rel=3e-3)
+
+
+def test_the_adjoint_of_a_family_is_that_of_its_phase() -> None:
+    """<P c, s> = <c, P^T s>, and rows have the sum of both parts."""
+    (lines, _) = folds(image(lambda x: 0.0 * x))
+    random = np.random.default_rng(2)
+    coefficients, slope = random.standard_normal(6), random.standard_normal(lines.spectrum.shape)
+    phase = MOTION.phase(lines, coefficients)
+    assert (phase * slope).sum() == pytest.approx(coefficients @ MOTION.back(lines, slope), rel=1e-10)
+    basis = POLYNOMIAL.basis(lines.place)
+    np.testing.assert_allclose(phase[3], basis @ (coefficients[:3] + lines.aside[3] * coefficients[3:]))
 
 
 @pytest.mark.parametrize("kind", [{"points": 12}, {"edge": True}], ids=["points", "edge"])
@@ -105,3 +119,24 @@ def test_real_weights_are_no_phase() -> None:
     """An image that is blurred by a narrow band, with points that are the same to either side: nothing is named."""
     made = image(lambda x: 3j * x**2, points=12)  # exp(j 3j x^2): weights that fall to the band's edge
     assert asked(folds(made)).outcome in ("absent", "not told")
+
+
+@pytest.mark.full
+@pytest.mark.parametrize(
+    ("same", "aside", "points", "outcome"),
+    [(3.0, TURN, 16, "named"), (0.0, TURN, 16, "named"), (TURN, 0.0, 16, "absent"), (0.0, TURN, 0, "not testable")],
+    ids=["both", "with range alone", "the same at all ranges", "speckle"],
+)
+def test_a_phase_that_goes_with_range_is_told(same: float, aside: float, points: int, outcome: str) -> None:
+    """2 pi at the ends of range, to 5 %; what all ranges share is `phase_error`, and no error of the track is named."""
+    lines = folds(image(lambda x: (same + aside * ASIDE[:, None]) * x**2, points=points))
+    found = asked_of_motion(lines)
+    assert found.outcome == outcome, found
+    if outcome == "named":
+        assert found.aside[0] == pytest.approx(aside, rel=0.05)
+        assert found.same[0] == pytest.approx(same, abs=0.05 * TURN)
+
+
+def test_without_look_directions_nothing_is_said_of_the_track() -> None:
+    lines = [AzimuthSpectrum.of(image(lambda x: 0.0 * x)[mask], SPACING, CELLS) for mask in folds_of(ROWS, 0.3, 0.59)]
+    assert asked_of_motion(lines).outcome == "not testable"

@@ -174,6 +174,7 @@ def test_what_was_added_on_trial_stays_in_the_model_and_is_no_name_when_the_time
     ]
 
 
+@pytest.mark.full
 def test_nothing_to_resume_is_refused(whole: tuple[Path, Path, int], tmp_path: Path) -> None:
     done = CliRunner().invoke(main, command(whole[0], tmp_path / "out", "--resume"))
     assert done.exit_code == 2
@@ -181,6 +182,7 @@ def test_nothing_to_resume_is_refused(whole: tuple[Path, Path, int], tmp_path: P
     assert "fit of the declared model" not in done.stderr
 
 
+@pytest.mark.full
 def test_under_torchrun_a_job_before_its_first_checkpoint_begins_anew(
     whole: tuple[Path, Path, int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -190,6 +192,7 @@ def test_under_torchrun_a_job_before_its_first_checkpoint_begins_anew(
     assert "--resume: there is no checkpoint; the run starts afresh" in capsys.readouterr().err
 
 
+@pytest.mark.full
 def test_a_checkpoint_of_something_else_is_refused(
     whole: tuple[Path, Path, int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

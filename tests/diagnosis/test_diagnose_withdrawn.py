@@ -55,6 +55,7 @@ def test_what_hurts_is_withdrawn_and_the_rest_stays(floored: Diagnosis) -> None:
     assert after["deviance"] < before["deviance"]
 
 
+@pytest.mark.full
 def test_nothing_is_withdrawn_where_nothing_hurts(floored: Diagnosis) -> None:
     done = judged(floored)
     assert done.diagnosis.withdrawn == []

@@ -11,6 +11,7 @@ from warpsar.diagnosis.found import Diagnosis
 
 HELD = [
     "noise_floor",
+    "registration",
     "point_spread",
     "object_pose house",
     "object_size shed",
@@ -20,12 +21,13 @@ HELD = [
     "pixel_spacing range",
 ]
 EFFECTS, SENSOR = {"point_spread"}, {"view_angles v0", "pixel_spacing range"}
-MOVING = {"object_pose house", "object_size shed"}
+MOVING = {"object_pose house", "object_size shed", "registration"}
 
 
 def doubted(findings: list[str], on_trial: list[str] | None = None) -> dict[str, str]:
-    """Of a model with all of `HELD`, whose floor alone is confirmed by its own test."""
-    found: Any = SimpleNamespace(held=HELD, on_trial=on_trial or [], signed=lambda name: name == "noise_floor")
+    """Of a model with all of `HELD`, whose floor and shift alone are confirmed by their own tests."""
+    signed = {"noise_floor", "registration"}.__contains__
+    found: Any = SimpleNamespace(held=HELD, on_trial=on_trial or [], signed=signed)
     verdicts: Any = {"train": SimpleNamespace(findings=[]), "test": SimpleNamespace(findings=findings)}
     return not_established(cast(Diagnosis, found), cast(dict[str, Judgement], verdicts))
 

@@ -5,7 +5,7 @@ from base64 import b64decode
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -17,8 +17,10 @@ from warpsar.diagnosis.models.refit import Fitted, refit_as
 from warpsar.diagnosis.report.law import law_section
 from warpsar.diagnosis.search.confirmation import NOT_ELSEWHERE
 from warpsar.diagnosis.search.last_resort import learned_law
+from warpsar.diagnosis.search.loop import Search
 from warpsar.diagnosis.turn.addition import TOO_LITTLE
 from warpsar.effects.learned_scattering import shape_db
+from warpsar.errors import InputError, NothingLitError
 from warpsar.runtime import devices
 from warpsar.simulation.rays import Rays
 from warpsar.surface.stage import Stage
@@ -118,3 +120,19 @@ def test_it_is_accepted_where_no_window_raises_an_alarm() -> None:
 def test_it_is_not_named_where_a_named_effect_explains_the_images() -> None:
     done = resort.diagnosed("saturation", "cpu")
     assert done.diagnosis.verdict == ["saturation"]
+
+
+def test_no_lit_ground_ends_the_search_and_no_other_refusal_does() -> None:
+    search = Search.__new__(Search)
+
+    def judge(error: type[InputError]) -> Any:
+        def call(*_: Any) -> None:
+            raise error("v0: no")
+
+        return call
+
+    search._judge = judge(NothingLitError)
+    assert not search._left(cast(Scene, None))
+    search._judge = judge(InputError)
+    with pytest.raises(InputError, match="v0: no"):
+        search._left(cast(Scene, None))

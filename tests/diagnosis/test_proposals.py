@@ -241,6 +241,7 @@ def test_a_box_is_found(found_box: tuple[Scene, list[GeometryCandidate]]) -> Non
     assert any("views left out" in sentence for sentence in one.words)
 
 
+@pytest.mark.full
 def test_its_scene_simulates_and_learns(found_box: tuple[Scene, list[GeometryCandidate]], tmp_path: Path) -> None:
     """The table is written, read again, and gives the image of the truth to a few per cent of its power."""
     scene, (one,) = found_box

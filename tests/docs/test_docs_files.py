@@ -15,7 +15,7 @@ SOURCES = {
 }
 """Folders that are not part of the project, and where the pages say what they are."""
 FOR_USERS = ("Tutorials", "How-to guides", "Concepts")
-NOT_YET_SPLIT = {"reflectors", "measured-gotcha"}  # their checks still stand beside what a user does
+NOT_YET_SPLIT = {"measured-gotcha"}  # their checks still stand beside what a user does
 
 
 def pages_for_users() -> list[str]:

@@ -8,8 +8,11 @@ import worlds
 from effect_worlds import STRIP_MAP, Case, gradients_of, refusal, render_of, with_effect
 from worlds import BRICK, SOIL, WAVENUMBER, ground, mesh_of, plate, scene_of, view
 
+from warpsar.effects.registry import declared
+from warpsar.render.render import ViewRender
 from warpsar.scene.scene import Scene
 from warpsar.simulation.command import simulate
+from warpsar.simulation.rays import trace_view
 from warpsar.world.mesh import Mesh
 
 pytestmark = pytest.mark.unit
@@ -248,6 +251,21 @@ def test_layers_add_up_to_the_image() -> None:
     total = single.beta0["HH"].astype(float) + one.layers["beta0_2_bounces_HH"] + one.layers["beta0_3_bounces_HH"]
     assert one.beta0["HH"] == pytest.approx(total, rel=1e-5)
     assert one.layers["beta0_3_bounces_HH"].max() > 0
+
+
+def test_lobes_of_rays_that_were_sent_for_fields_are_those_of_their_own() -> None:
+    """Both readings of a reflection share their rays: which one was asked first changes nothing."""
+    scene = corner_scene(trihedral(), 40.0, 52.0, shape=(24, 24), rays_per_pixel=16.0)
+    fields = with_effect(scene, "multibounce", {"strength": 1.0, "reflection": "roughness"})
+    effects = [declared(one, one.views[0]) for one in (scene, fields)]
+    render = render_of(scene)
+    hits = trace_view(scene, render.stage, scene.views[0], seed=3, effects=effects[0])
+    for_fields, for_lobes = (
+        ViewRender(render.stage, scene.views[0], hits, scene.grid.shape, ("HH",), one).forward()["HH"]
+        for one in (effects[1], effects[0])
+    )
+    assert (for_lobes == render.forward()["HH"]).all()
+    assert (for_lobes != for_fields).any()
 
 
 def test_three_bounces_have_derivatives_to_all_their_surfaces() -> None:

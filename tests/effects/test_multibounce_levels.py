@@ -10,7 +10,6 @@ import worlds
 from effect_worlds import street, with_effect
 from worlds import join, mesh_of, plate, scene_of, view
 
-from warpsar.collection.response import width_in_cells
 from warpsar.effects.bounces import cells, tracing
 from warpsar.kernels.effects import multibounce, multibounce_ends
 from warpsar.runtime.structs import fill
@@ -19,7 +18,7 @@ from warpsar.simulation.command import Simulation, simulate
 from warpsar.surface.stage import Stage
 from warpsar.trace.hits import BinGrid
 from warpsar.world.mesh import Mesh
-from warpsar.world.taper import taper
+from warpsar.world.taper import taper, width_in_cells
 
 LIGHT = 299792458.0
 METAL = {"eps_r": (1e6, -1e6), "rms_height_m": 1e-6, "correlation_length_m": 0.1}
@@ -525,14 +524,14 @@ def test_groups_of_tubes_without_a_field() -> None:
             "point": np.zeros((3, 3), np.float32),
         }
         part = cells.Coupled(records, field, loose, np.array([[k, 0] for k in range(9)]), np.array([0, 3, 6]))
-        borders = cells.borders_of(cells.share([part], grid, (0.5, 0.5)), np.array([1, 2]))
+        borders = cells.borders_of(cells.share([part], grid, (0.5, 0.5)), np.array([1, 2]), 0.25)
         lit = int(np.count_nonzero(np.array(strengths) == 1.0))
         # its cells are a row: they, and those beside them that meet nothing; the other groups are of the same planes
         beside = [(x, y) for x in range(-1, 4) for y in (-1, 1)] + [(x, 0) for x in range(-1, 3)]
         assert {tuple(one) for one in borders.cell.tolist()} == (set(beside) if lit else set())
         assert (borders.split == 6).all()  # (1.26 * 3 ** -0.75 / 0.04) ** (2 / 3) is 5.7
         made, samples = cells.samples_of(
-            cells.share([part], grid, (0.5, 0.5)), np.array([1, 2]), 0.25, wp.get_device("cpu")
+            cells.share([part], grid, (0.5, 0.5)), np.array([1, 2]), 4, 0.25, wp.get_device("cpu")
         )
         assert made["bin"].shape == samples.coupling.shape == (lit,)
         assert samples.weight.numpy() == pytest.approx([4 * np.pi / 0.25] * lit)

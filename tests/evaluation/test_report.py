@@ -120,6 +120,10 @@ def test_report_holds_what_it_should(evaluated: Path) -> None:
     assert "warp-lang" in reader.text
     assert "alone not identifiable" in reader.text or "determined by itself" in reader.text
     described = [attributes["alt"] or "" for tag, attributes in reader.tags if tag == "img"]
+    assert described[:2] == ["residual", "measured"]  # on the first screen, before any table
+    assert [tag for tag, _ in reader.tags if tag in ("img", "table")][:2] == ["img", "img"]
+    assert "scene.toml and its test images: too few pixels to tell whether they agree." in reader.text
+    del described[:2]
     assert described.count("measured") == described.count("simulated") == described.count("residual") == 2
     assert sum(text.startswith("Residual against") for text in described) == 5
     assert sum("from azimuth" in text for text in described) == 6  # three learned parameters, two sides

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from comparisons import comparison
 
-from warpsar.diagnosis.report.first import averaged_ratio_db, telling, verdict_sentence
+from warpsar.diagnosis.report.first import telling, verdict_sentence
 from warpsar.diagnosis.report.next_step import next_steps
 from warpsar.diagnosis.result import Diagnosed
+from warpsar.evaluation.report_parts import averaged_ratio_db
 from warpsar.io import html, html_image
 
 pytestmark = pytest.mark.unit

@@ -15,12 +15,13 @@ from warpsar.effects.registry import validate
 from warpsar.errors import InputError
 from warpsar.learning.command import run
 from warpsar.learning.geometry import Geometry
+from warpsar.learning.glints import with_glints
 from warpsar.learning.options import LearnOptions
-from warpsar.learning.pose import PosedProblem
+from warpsar.learning.pose import PosedProblem, foretold_gain, without_shading
 from warpsar.learning.pose_pixels import FLOOR_SHARE, compared
 from warpsar.learning.pose_search import find_poses, group_pose
-from warpsar.learning.pose_sharing import boxes, columns_of, shared
-from warpsar.learning.posed_images import images_elsewhere
+from warpsar.learning.pose_sharing import boxes, columns_of, faces_about, shared
+from warpsar.learning.posed_images import render_elsewhere
 from warpsar.learning.problem import FitProblem
 from warpsar.runtime import devices
 from warpsar.scene.placing import with_objects
@@ -30,6 +31,7 @@ from warpsar.surface.stage import Stage
 from warpsar.world.objects.assembly import Assembly
 from warpsar.world.objects.table import Object
 from warpsar.world.tables import Grid, Material, View
+from warpsar.world.world import geometry_of
 
 CPU = devices.resolve_device("cpu")
 PLACE = {"position_m": (1.3, -0.8, 0.0), "heading_deg": 35.0, "material": "body"}
@@ -163,9 +165,9 @@ def test_changes_of_a_pose_close_by_are_kept(monkeypatch: pytest.MonkeyPatch) ->
     made: list[str] = []
     plain = PosedProblem._changed
 
-    def counted(self: PosedProblem, inner: Any, one: Any, *more: Any) -> list[np.ndarray]:
-        made.append(one.view.name)
-        return plain(self, inner, one, *more)
+    def counted(self: PosedProblem, inner: Any, *more: Any) -> list[np.ndarray]:
+        made.extend(one.view.name for one in inner.views)
+        return plain(self, inner, *more)
 
     monkeypatch.setattr(PosedProblem, "_changed", counted)
     near, far = problem.x0 + 0.04, problem.x0 + 0.06
@@ -180,7 +182,7 @@ def test_changes_of_a_pose_close_by_are_kept(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_only_columns_that_a_body_changes_are_made() -> None:
-    """Differences of images of these columns are those of whole ones, to rounding of float32."""
+    """Differences of power in these columns are those of whole ones, to rounding of float32."""
     scene = measured(scene_with(CAR, sides=SIDES[:1], learn=("position",)))
     problem = problem_of(scene, 1.0)
     inner, rest = problem.split(problem.x0)
@@ -190,14 +192,16 @@ def test_only_columns_that_a_body_changes_are_made() -> None:
     assert columns == (box.low[1], box.high[1])
     assert columns[1] - columns[0] < 0.7 * scene.grid.shape[1]
     ends = [problem.geometry.at(np.array([t, 0.0, 0.0])) for t in (2e-3, -2e-3)]
-    whole, part = (
-        np.subtract(*(images_elsewhere(inner, seen, rest, end, which)[0] for end in ends)) for which in (None, columns)
-    )
+
+    def power(end: Scene, which: tuple[int, int] | None = None) -> np.ndarray:
+        return render_elsewhere(inner, seen, rest, end, which).before_image["HH"].numpy().astype(float)
+
+    whole, part = (np.subtract(*(power(end, which) for end in ends)) for which in (None, columns))
     level = float(inner.modelled(rest)[0].max())
     np.testing.assert_allclose(part, whole, atol=1e-5 * level)
     assert np.abs(whole).max() > 1e-3 * level
     for beside in ((-90, -80), (500, 510)):  # a body beside the image
-        ahead, behind = (images_elsewhere(inner, seen, rest, end, beside)[0] for end in ends)
+        ahead, behind = (power(end, beside) for end in ends)
         assert np.array_equal(ahead[whole == 0.0], behind[whole == 0.0])
 
 
@@ -209,11 +213,42 @@ def test_rough_changes_are_those_of_single_bounces() -> None:
     without = FitProblem(plain, CPU, rays=ExactRays(Stage.of(plain, CPU)))
     pixels = {one.view.name: list(one.observations) for one in without.views}
     rough = PosedProblem(bounced, CPU, pixels, held=True, rough=True)
-    single = PosedProblem(plain, CPU, pixels, held=True)
+    single = PosedProblem(plain, CPU, pixels, held=True, forward=True)
     (changed,), (expected,) = rough.jacobian(rough.x0), single.jacobian(single.x0)
     (more,), (less,) = (one.modelled(one.x0) for one in (rough, single))
     assert (more > 1.5 * less).any()
     np.testing.assert_allclose(changed * more[:, None], expected * less[:, None], rtol=1e-5, atol=1e-9)
+
+
+def test_views_left_out_begin_with_the_changes_of_all() -> None:
+    scene = measured(scene_with(BOX, sides=SIDES[:2], shape=48, learn=("position",)))
+    plain = FitProblem(scene, CPU, rays=ExactRays(Stage.of(scene, CPU)))
+    pixels = {one.view.name: list(one.observations) for one in plain.views}
+    every, other, own = (
+        PosedProblem(scene, CPU, seen, held=True) for seen in (pixels, {"v1": pixels["v1"]}, {"v1": pixels["v1"]})
+    )
+    other.begin_with(every)
+    assert other.is_made_at(other.x0)
+    np.testing.assert_allclose(other.jacobian(other.x0)[0], own.jacobian(own.x0)[0], rtol=1e-6)
+
+
+def test_shifts_of_images_are_foretold() -> None:
+    """Blurred images whose pixels lie a fifth of a pixel further in range, and a tenth nearer in azimuth: the shift of
+    each image, to the error of differences over pixels, and what it costs of ln L."""
+    scene = measured(scene_with(BOX, sides=SIDES[:2], shape=48, learn=("position",)), looks=1e6)
+    far = {"range_m": 0.1, "azimuth_m": -0.05}
+    moved = exact_images(replace(scene, effects={"registration": validate("registration", far, "registration")}), CPU)
+
+    def problem(images: dict[str, dict[str, np.ndarray]]) -> PosedProblem:
+        seen = {one.name: {"HH": images[one.name]["HH"].astype(np.float32)} for one in scene.views}
+        views = [one.model_copy(update={"images": seen[one.name], "looks": 16.0}) for one in scene.views]
+        return problem_of(replace(scene, views=views), 3.0)
+
+    shifted, there = problem(moved), problem(exact_images(scene, CPU))
+    left, slope = (part[3:] for part in without_shading(shifted, shifts=True))
+    assert np.linalg.solve(left[:, 3:], slope) == pytest.approx([0.2, -0.1, 0.2, -0.1], abs=0.03)
+    cost = shifted.value(shifted.x0) - there.value(there.x0)
+    assert foretold_gain(left[:, 3:], slope) == pytest.approx(cost, rel=0.1)
 
 
 def test_slopes_to_vertices() -> None:
@@ -502,9 +537,55 @@ def test_a_box_holds_all_that_a_move_changes() -> None:
     (place,) = (boxes(scene, scene.views[0]) or {}).values()
     up, down = (displaced(scene, position_m=(1.3 + t, -0.8, 0.0)) for t in (0.05, -0.05))
     change = np.abs(exact_images(up, CPU)["v0"]["HH"] - exact_images(down, CPU)["v0"]["HH"])
-    row, column = np.indices(change.shape)
-    assert change[~place.holds(row, column)].max() < 1e-6 * change.max()
+    assert (change - place.alone(change)).max() < 1e-6 * change.max()
     assert change.max() > 0
+
+
+def test_faces_elsewhere_change_nothing_of_a_move() -> None:
+    """The difference that a move makes is the same without the faces that lie elsewhere across the look direction."""
+    far = Object(name="far", primitive="box", size_m=(2.0, 2.0, 2.0), position_m=(-8.0, 9.0, 0.0), material="body")
+    scene = measured(scene_with(CAR, sides=SIDES[:1], learn=("position",)))
+    scene = with_objects(scene, [*scene.objects, far])
+    problem = problem_of(scene, 0.0)
+    inner, rest = problem.split(problem.x0)
+    label = scene.objects[0].label
+    faces = faces_about(scene, inner.views[0].view, {label})
+    assert 0.2 < faces.mean() < 1.0
+    ends = [problem.geometry.stepped(inner.scene, np.zeros(3), t * np.eye(3)[0]) for t in (2e-3, -2e-3)]
+    whole, part = (
+        np.subtract(
+            *(
+                render_elsewhere(inner, inner.views[0], rest, end, None, some).before_image["HH"].numpy().astype(float)
+                for end in ends
+            )
+        )
+        for some in (None, faces)
+    )
+    np.testing.assert_allclose(part, whole, atol=1e-5 * np.abs(inner.modelled(rest)[0]).max())
+    assert np.abs(whole).max() > 0.0
+
+
+@pytest.mark.full
+def test_a_bright_point_beside_a_body_is_found_and_none_is_where_there_is_none() -> None:
+    """A plate that stands beside a box: its place is found to a pixel, and both bodies' images pay for it or not."""
+    body = Object(name="hut", primitive="box", size_m=(6.0, 3.0, 3.0), material="body", glint=True)
+    lower = body.model_copy(update={"name": "shed", "position_m": (-9.0, 7.0, 0.0)})
+    point = Object(name="lamp", primitive="box", size_m=(0.4, 0.4, 0.4), position_m=(1.0, 2.5, 3.2), material="lamp")
+    views = [view(azimuth, 45, name=f"v{k}") for k, azimuth in enumerate((88.0, 92.0))]
+    plain = scene_of(mesh_of(g=ground(40)), views, shape=(64, 64), spacing_m=(0.5, 0.5))
+    kinds = {"g": Material(**SOIL), "body": Material(**BRICK)}
+    bright = Material(**{**BRICK, "rms_height_m": 6.0 * BRICK["rms_height_m"]})
+    truth = measured(with_objects(plain, [body, lower, point], {**kinds, "lamp": bright}))
+    asked = with_objects(truth, [body, lower], kinds)
+    found = with_glints(asked, CPU, "gamma")
+    assert [one.label for one in found.objects] == ["hut", "shed", "hut.glint"]
+    assert not any(one.glint for one in found.objects)
+    glint = found.objects[-1]
+    d, u = (getattr(geometry_of(found, views[0]), axis) for axis in "du")
+    for axis in (d, u):  # where it is seen, in range and in azimuth
+        assert abs(np.subtract(glint.position_m, point.position_m) @ axis) < 0.5
+    again = with_glints(measured(asked), CPU, "gamma")
+    assert [one.label for one in again.objects] == ["hut", "shed"]
 
 
 def test_effects_that_carry_power_share_nothing() -> None:

@@ -140,6 +140,30 @@ def headings(count: int, own: float, common: float) -> list[Known]:
 
 
 @pytest.mark.unit
+def test_bodies_of_one_kind_have_materials_and_shares_of_their_own(tmp_path: Path) -> None:
+    """Each begins as what the kind has, and a fit then moves each; a name that is taken is refused."""
+    (tmp_path / "cars.csv").write_text(SURVEY)
+    detail = (
+        '[effects.unresolved_detail]\nlevel = 0.1\nspread_m = 2.0\nmaterials = ["metal"]\nshare = { metal = 0.7 }\n'
+    )
+    text = SCENE.replace('material = "metal"', 'material = "metal"\nown_material = true') + detail
+    (tmp_path / "scene.toml").write_text(text)
+    scene = warpsar.Scene.load(tmp_path / "scene.toml")
+    assert list(scene.materials) == [one.material for one in scene.objects] == ["Malibu", "Camry"]
+    assert {one.rms_height_m for one in scene.materials.values()} == {0.001}
+    table = scene.effects["unresolved_detail"]
+    assert table["materials"] == ["Malibu", "Camry"]
+    assert table["share"] == {"Malibu": 0.7, "Camry": 0.7}
+    scene.save(tmp_path / "saved.toml")
+    assert "own_material" not in (tmp_path / "saved.toml").read_text()
+    assert list(warpsar.Scene.load(tmp_path / "saved.toml").materials) == ["Malibu", "Camry"]
+    (tmp_path / "scene.toml").write_text(
+        text.replace("[materials.metal]", "[materials.Camry]\nconductor = true\n\n[materials.metal]")
+    )
+    with pytest.raises(InputError, match=r"own_material: found a material 'Camry' in the file"):
+        warpsar.Scene.load(tmp_path / "scene.toml")
+
+
 def test_a_shared_error_is_a_gaussian_with_its_covariance() -> None:
     """Value, gradient and information are those of scipy's multivariate normal, of covariance own^2 + common^2 11'."""
     known = headings(6, 1.0, 4.0)

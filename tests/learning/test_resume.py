@@ -133,7 +133,10 @@ def killed_and_resumed(optimiser: str, times: int, whole: Whole, seed: int) -> N
     assert all(name.startswith(".") for name in left)
 
 
-@pytest.mark.parametrize(("optimiser", "times"), [pytest.param("adam", 3, marks=pytest.mark.slow), ("lm", 1)])
+@pytest.mark.parametrize(
+    ("optimiser", "times"),
+    [pytest.param("adam", 3, marks=pytest.mark.slow), pytest.param("lm", 1, marks=pytest.mark.full)],
+)
 def test_killed_and_resumed(optimiser: str, times: int, whole: Whole) -> None:
     killed_and_resumed(optimiser, times, whole, seed=3)
 
@@ -162,7 +165,9 @@ def test_sigterm_writes_a_checkpoint_and_exits_1(whole: Whole) -> None:
     assert outcome(out) == outcome(expected)
 
 
-@pytest.mark.parametrize("optimiser", [pytest.param("adam", marks=pytest.mark.slow), "lm"])
+@pytest.mark.parametrize(
+    "optimiser", [pytest.param("adam", marks=pytest.mark.slow), pytest.param("lm", marks=pytest.mark.full)]
+)
 def test_ctrl_c_says_how_to_go_on(optimiser: str, whole: Whole) -> None:
     """The words that it says are run as they stand, and end where the uninterrupted run ends."""
     scene, expected = whole(optimiser)

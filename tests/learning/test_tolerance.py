@@ -330,6 +330,30 @@ def test_a_line_is_that_of_the_closed_form(about: float, sd: float) -> None:
     assert found.alarm == (abs(found.tension or 0.0) > 3.0) == (about == 1.0)
 
 
+def test_the_images_alone_are_the_information_less_the_own() -> None:
+    """Of five numbers, each `data_sd` is that of the whole matrix inverted without its own prior; one is not seen."""
+    random = np.random.default_rng(2)
+    root = random.normal(size=(5, 5))
+    root[3] = 0.0
+    of_data, scatter = root @ root.T, random.normal(size=(5, 5))
+    scatter = of_data + scatter @ scatter.T * np.outer(np.diag(of_data) > 0, np.diag(of_data) > 0)
+    sds = np.array([0.1, 1.0, 3.0, 0.5, 10.0])
+    line: Any = Line(0.0, 1.0)
+    known = [Known(f"n{k}.a", k, 0.0, sd, "1", lambda x: x, lambda x: 1.0) for k, sd in enumerate(sds)]
+    line.prior, line.zero_sum_means = Prior(known, 5), np.zeros((0, 5))
+    line.bounds = np.full(5, -9e9), np.full(5, 9e9)
+    information, products = (one + np.diag(1.0 / sds**2) for one in (of_data, scatter))
+    found = pulls(line, np.ones(5), of_information([one.label for one in known], information, products))
+    for k, (pull, sd) in enumerate(zip(found, sds, strict=True)):
+        if k == 3:
+            assert pull.data_sd is None
+            continue
+        own = np.zeros((5, 5))
+        own[k, k] = 1.0 / sd**2
+        inverse = np.linalg.inv(information - own)
+        assert pull.data_sd == pytest.approx(np.sqrt((inverse @ (products - own) @ inverse)[k, k]), rel=1e-9)
+
+
 def test_levenberg_marquardt_arrives_where_nothing_pulls_any_more(blurred: Scene) -> None:
     """At the end a step promises less than a hundredth in log-likelihood, though the images pull at what is known."""
     wrong = {**BLUR, "range_fwhm_m": 0.7, "tolerance": {"range_fwhm_m": 0.02}}

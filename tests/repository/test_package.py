@@ -6,10 +6,13 @@ import shutil
 import subprocess
 import sys
 import tarfile
+import tomllib
 import zipfile
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 from warpsar.cli.main import COMMANDS
 from warpsar.version import __version__
@@ -225,6 +228,24 @@ print("imported:", *set("{heavy}".split()) & set(sys.modules))
     out = run_python(code, *arguments, "--help", cwd=tmp_path)
     assert "Usage:" in out
     assert out.splitlines()[-1].split() == ["imported:"]
+
+
+def test_locked_versions_are_those_that_are_asked_for() -> None:
+    """Every package that `.[dev,docs]` names stands in the lock, at a version that pyproject.toml admits."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    lines = (ROOT / ".ci" / "requirements-dev.lock").read_text(encoding="utf-8").splitlines()
+    locked = [Requirement(line) for line in lines if not line.startswith("#")]
+    extras, asked = ["dev", "docs"], list(project["dependencies"])
+    for name in extras:
+        for text in project["optional-dependencies"][name]:
+            one = Requirement(text)
+            extras.extend(one.extras) if one.name == "warpsar" else asked.append(text)
+    for one in map(Requirement, asked):
+        found = [each for each in locked if canonicalize_name(each.name) == canonicalize_name(one.name)]
+        assert found, f"{one.name}: docs/contributing.md says how to lock it"
+        for each in found:
+            (version,) = each.specifier
+            assert one.specifier.contains(version.version), f"{each}: pyproject.toml asks for {one}"
 
 
 def test_readme_holds_two_commands_of_one_line() -> None:

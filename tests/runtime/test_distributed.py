@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -35,10 +36,7 @@ from warpsar.world.tables import Material, Sampling
 # Long enough to be struck, with a checkpoint every five iterations.
 ADAM = ["--rate", "0.001", "--iterations", "200", "--checkpoint-every", "5", "--tv", "rms_height_m=1"]
 HERE = Path(__file__).resolve().parents[1]
-needs_torch = pytest.mark.skipif(
-    subprocess.run([sys.executable, "-c", "import torch"], capture_output=True).returncode != 0,
-    reason="torch is not installed (extra `distributed`)",
-)
+needs_torch = pytest.mark.skipif(find_spec("torch") is None, reason="torch is not installed (extra `distributed`)")
 
 
 def effects_scene(folder: Path) -> Path:

@@ -310,7 +310,8 @@ def test_the_example_is_copied_and_loads(tmp_path: Path) -> None:
     folder = tmp_path / "corner"
     done = CliRunner().invoke(main, ["new", str(folder), "--example"])
     assert done.exit_code == 0, done.output
-    assert str(folder / "scene.toml") in done.output
+    scene = folder / "scene.toml"
+    assert done.output.splitlines() == [str(scene), f"next: warpsar simulate {scene} -o {folder / 'out'}"]
     assert sorted(path.name for path in folder.iterdir()) == ["scene.mtl", "scene.obj", "scene.toml"]
     assert [view.name for view in Scene.load(folder / "scene.toml").views] == ["north", "south", "west"]
     (folder / "scene.toml").unlink()

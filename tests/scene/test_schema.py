@@ -220,11 +220,11 @@ def test_schema_is_strict_json_without_references() -> None:
     text = json.dumps(scene_schema(), allow_nan=False)
     assert "$ref" not in text
     assert "null" not in text
-    # tables of the file, scene.origin and the collection's antenna and transmitter among them; effects; each effect,
+    # tables of the file, scene.origin and those of the collection among them; effects; each effect,
     # and in it tolerance; { about, sd } of each parameter, and of what materials, objects, views, radar and image know;
     # the curves' profiles
     tolerances = sum(len(get(name).parameters) for name in names()) + 2 + 3 + 1
-    assert text.count('"additionalProperties": false') == 13 + 1 + 2 * len(names()) + tolerances
+    assert text.count('"additionalProperties": false') == 16 + 1 + 2 * len(names()) + tolerances
 
 
 @pytest.mark.full

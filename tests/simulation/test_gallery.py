@@ -49,6 +49,7 @@ def test_a_scene_is_whole(name: str, gallery: ModuleType, tmp_path: Path) -> Non
     assert ((np.abs(away) < half[0]) & (np.abs(across) < half[1])).mean() > 0.6
 
 
+@pytest.mark.full
 def test_the_corner_reflectors_are_corners(gallery: ModuleType, tmp_path: Path) -> None:
     """Three legs at right angles: a first try had walls at another angle, and hardly any echo of three bounces."""
     shot = gallery.SCENES["trihedrals"](tmp_path)

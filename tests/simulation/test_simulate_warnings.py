@@ -6,19 +6,24 @@ import os
 import re
 import sys
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 from click.testing import CliRunner
 from test_cli_simulate import MESH, SCENE, warpsar
 from worlds import ground, mesh_of, scene_of, view
 
 from warpsar.cli.main import main
+from warpsar.effects.registry import validate
 from warpsar.errors import InputError
 from warpsar.runtime import busy as busy_module
+from warpsar.runtime import devices
 from warpsar.runtime.busy import busy
 from warpsar.runtime.devices import resolve_device
 from warpsar.runtime.driver import no_driver_warning
@@ -28,6 +33,7 @@ from warpsar.simulation.command import Simulation, simulate
 from warpsar.simulation.outputs import refuse_unlikely_size
 from warpsar.surface.stage import Stage
 
+WALL = {"eps_r": 6.0, "rms_height_m": 0.001, "correlation_length_m": 0.01}
 OPTICS = {"eps_r": 6.0, "rms_height_m": 0.02, "correlation_length_m": 0.2, "specular_fraction": 1.0}
 
 
@@ -42,6 +48,25 @@ def found(**material: Any) -> list[str]:
     made = Simulation(scene, stage_of(scene))
     made.view(scene.views[0], 0)
     return made.findings.warnings(scene)
+
+
+@pytest.mark.parametrize(("roof", "turned", "said"), [(True, 1, None), (True, -1, "6 of 12"), (False, 1, "6 of 10")])
+def test_a_body_that_is_open_or_inside_out(roof: bool, turned: int, said: str | None) -> None:
+    """Two walls and the roof are seen of a block. Without the roof the inside of the other two walls is seen, and
+    a part of the floor."""
+    block = trimesh.creation.box((4.0, 4.0, 4.0)).apply_translation((0.0, 0.0, 2.0))
+    faces = block.faces[(block.triangles_center[:, 2] < 3.9) | roof]
+    made = scene_of(
+        mesh_of(soil=ground(30), block=(block.vertices, faces[:, ::turned])),
+        view(20, 30),
+        rays_per_pixel=4.0,
+        materials=dict.fromkeys(("soil", "block"), WALL),
+    )
+    made = replace(made, effects={"multibounce": validate("multibounce", {"strength": 1.0}, "effects")})
+    simulation = Simulation(made, stage_of(made))
+    simulation.view(made.views[0], 0)
+    found = [one for one in simulation.findings.warnings(made) if "look away" in one]
+    assert [one.split(" faces")[0] for one in found] == ([] if said is None else [f"materials.block: {said}"])
 
 
 def test_a_surface_outside_its_models_domain() -> None:
@@ -233,6 +258,21 @@ def test_a_sign_of_life(monkeypatch: pytest.MonkeyPatch) -> None:
     with busy("short"):
         pass
     assert "short" not in stream.getvalue()
+
+
+def test_a_terminal_sees_kernels_being_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Which takes tens of seconds in the first run."""
+    said: list[str] = []
+
+    @contextmanager
+    def noted(what: str) -> Iterator[Callable[[str], None]]:
+        said.append(what)
+        yield said.append
+
+    monkeypatch.setattr(devices, "busy", noted)
+    devices.load_kernels(devices.resolve_device("cpu"), "merge", "shade")
+    what = "compiling kernels for cpu (first run only)"
+    assert said == [what, f"{what}: 1 of 2", f"{what}: 2 of 2"]
 
 
 def test_the_driver_warning_is_not_shown_and_all_else_is(capfd: pytest.CaptureFixture[str]) -> None:

@@ -34,14 +34,14 @@ def views(**radar: float) -> list[SimulatedView]:
 def test_a_view() -> None:
     image = views()[0]
     data = image.to_xarray()
-    assert data.beta0.dims == ("azimuth", "range", "polarization")
+    assert data.beta0.dims == ("range", "azimuth", "polarization")
     assert dict(data.sizes) == {"azimuth": 44, "range": 30, "polarization": 2}
     for polarization, beta0 in image.beta0.items():
-        np.testing.assert_array_equal(data.beta0.sel(polarization=polarization).transpose("range", "azimuth"), beta0)
+        np.testing.assert_array_equal(data.beta0.sel(polarization=polarization), beta0)
         np.testing.assert_array_equal(
-            data.sampling_variance.sel(polarization=polarization).T, image.sampling_variance[polarization]
+            data.sampling_variance.sel(polarization=polarization), image.sampling_variance[polarization]
         )
-    np.testing.assert_array_equal(data.incidence_deg.transpose("range", "azimuth"), image.layers["incidence_deg"])
+    np.testing.assert_array_equal(data.incidence_deg, image.layers["incidence_deg"])
     assert data.beta0.units == "1"
     assert data.incidence_deg.units == "degree"
     for axis, values in (("azimuth", image.azimuth_m), ("range", image.range_m)):
@@ -79,11 +79,11 @@ def test_round_trip(kind: str, tmp_path: Path) -> None:
 def test_all_views_are_one_data_set() -> None:
     images = views()
     data = warpsar.to_xarray(images)
-    assert data.beta0.dims == ("view", "azimuth", "range", "polarization")
+    assert data.beta0.dims == ("view", "range", "azimuth", "polarization")
     assert list(data.view.values) == ["north", "east"]
     for image in images:
         one = data.sel(view=image.name)
-        np.testing.assert_array_equal(one.beta0.sel(polarization="VV").T, image.beta0["VV"])
+        np.testing.assert_array_equal(one.beta0.sel(polarization="VV"), image.beta0["VV"])
         np.testing.assert_allclose(one.range_axis, image.metadata["range_axis"])
         assert one.azimuth_deg == image.metadata["azimuth_deg"]
     assert data.frequency_hz == 9.6e9

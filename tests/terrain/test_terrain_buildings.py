@@ -11,8 +11,8 @@ from terrain_files import EAST_M, NORTH_M, dem, flat, product, town
 
 import warpsar
 from warpsar.errors import InputError
-from warpsar.terrain.command import surface_sigma0
 from warpsar.terrain.result import SimulatedProduct
+from warpsar.terrain.scenery import surface_sigma0
 from warpsar.world.earth import LocalEarth, geodetic_to_ecef
 
 BOX = (10.0, -15.0, 80.0, 120.0, 40.0)

@@ -15,6 +15,7 @@ from warpsar.scene.scene import Scene
 from warpsar.simulation.exact_rays import ExactRays
 from warpsar.simulation.rays import Rays
 from warpsar.surface.stage import Stage
+from warpsar.trace import exact
 from warpsar.world.objects.pose import placed
 from warpsar.world.objects.shapes import body
 from warpsar.world.objects.table import Object
@@ -107,6 +108,25 @@ def test_bands_are_the_whole() -> None:
     inside = (whole.pixel.numpy() % 60 >= 20) & (whole.pixel.numpy() % 60 < 33)
     np.testing.assert_array_equal(band.pixel.numpy(), whole.pixel.numpy()[inside])
     np.testing.assert_allclose(band.weight.numpy(), whole.weight.numpy()[inside], rtol=1e-5)
+
+
+@pytest.mark.parametrize("slant_range_m", [None, 120.0])
+def test_bands_of_elevation_are_the_whole(monkeypatch: pytest.MonkeyPatch, slant_range_m: float | None) -> None:
+    """A column that is cut into bands has the pixels, faces and areas that it has as one. About a track an area takes
+    the middle of its pieces, which are others, and about 100 m away."""
+    scene = with_object(
+        {"primitive": "car", "size_m": (4.5, 1.8, 1.5), "heading_deg": 33.0}, slant_range_m=slant_range_m
+    )
+    stage = Stage.of(scene, devices.resolve_device("cpu"))
+    found = []
+    for candidates in (10**9, 2):
+        monkeypatch.setattr(exact, "CANDIDATES", candidates)
+        found.append(ExactRays(stage).trace(scene, scene.views[0], []))
+    whole, cut = found
+    for name in ("pixel", "face"):
+        np.testing.assert_array_equal(getattr(cut, name).numpy(), getattr(whole, name).numpy())
+    rtol = 1e-5 if slant_range_m is None else 0.5 / 100.0
+    np.testing.assert_allclose(cut.weight.numpy(), whole.weight.numpy(), rtol=rtol, atol=1e-9)
 
 
 # ---- derivatives ----

@@ -293,9 +293,10 @@ def _step(i: int, name: str, data: Differences) -> Cause:
             left += float((weights[side] * (data.value[here][side] - mean) ** 2).sum())
         if left < lowest:
             best, lowest = middle, left
+    before, after = data.days[here & (data.years <= best)].max(), data.days[here & (data.years > best)].min()
     return Cause(
         f"step of {name}",
-        f"{name} was moved, damaged or repaired once",
+        f"{name} was moved, damaged or repaired once, after {before} and not later than {after}",
         ("before [dB]", "after [dB]", "year of the step, from the first date"),
         curve,
         (0.0, 0.0, best),

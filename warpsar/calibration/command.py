@@ -17,7 +17,7 @@ from warpsar.calibration.engine import engine_rcs_m2
 from warpsar.calibration.explain import Explanation, explain
 from warpsar.calibration.forecast import Forecast, forecast
 from warpsar.calibration.geolocation import Geolocation, geolocation
-from warpsar.calibration.measure import ReflectorObservation, observe, without_neighbours
+from warpsar.calibration.measure import ALLOWANCE_M, ReflectorObservation, observe, without_neighbours
 from warpsar.calibration.point import PointSettings
 from warpsar.calibration.presence import FoundPlace, Presence, find_place, presences, settled, standing
 from warpsar.calibration.report import write_report
@@ -30,8 +30,6 @@ from warpsar.runtime import console, devices
 from warpsar.simulation.outputs import make_folder, write_json
 from warpsar.world.tables import Polarization
 
-ALLOWANCE_M = (15.0, 15.0)
-"""In azimuth and slant range: atmosphere (2 to 4 m), tides (0.2 m), and the product's own timing."""
 LOOK_STEP_DEG = 0.1
 """The engine is asked once for looks so near to each other: a trihedral changes by under 0.02 dB."""
 CO_POLARIZED = ("HH", "VV")
@@ -109,7 +107,7 @@ def reflectors(
     return ReflectorResult(
         tuple(found),
         explanation,
-        geolocation(early),
+        geolocation(early, allowance_m),
         (*refused, *lost),
         tuple(places),
         tuple(presence),

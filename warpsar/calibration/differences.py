@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +20,9 @@ NULL_DRAWS = 120_000
 NEIGHBOURS = 3
 """Values before, and after, that make the level at a date."""
 LEAST_SCATTER_DB = 0.1
-"""What is known of no radar better, from date to date."""
-MOST_SCATTER_DB = 5.6
-"""Of power that is speckle alone: pi / sqrt(6) nepers."""
+"""From date to date; a choice: a third of what Sentinel-1 is specified to, 1 dB in three standard deviations."""
+MOST_SCATTER_DB = float(10.0 / np.log(10.0) * np.pi / np.sqrt(6.0))
+"""5.6 dB: of power that is speckle alone, the logarithm of an exponential variable. What scatters more has no level."""
 SAME_PASS = float(np.cos(np.deg2rad(3.0)))
 """Looks that differ by less are of one pass."""
 FEWEST = 5
@@ -48,7 +48,7 @@ class Differences:
     image: NDArray[np.int64]
     """Which values come from one image."""
     least_scatter: float = LEAST_SCATTER_DB
-    """What is known of no radar better, from date to date."""
+    """From date to date, however well few values agree."""
     most_scatter: float = MOST_SCATTER_DB
     """What nothing that is measured scatters by more than."""
 
@@ -108,6 +108,11 @@ class Differences:
     def passes(self) -> NDArray[np.int64]:
         """Which of `looks` each value has, (n,)."""
         return pass_numbers(self.looks, self)
+
+    @cached_property
+    def members(self) -> F64:
+        """1 where a value is of an image, (images, n)."""
+        return (np.arange(int(self.image.max(initial=-1)) + 1)[:, None] == self.image).astype(np.float64)
 
     def __len__(self) -> int:
         return self.value.size
@@ -208,7 +213,9 @@ def _called(chances: F64) -> NDArray[np.int64]:
 def deviations(values: F64, sd: F64, least: float) -> tuple[F64, F64]:
     """Of series (m, n): how far a value lies off the nearer of the levels before and after it, and that over its scale.
 
-    A level is the median of up to three values. 0 where both levels do not lie on one side of the value. The scale is
+    A level is the median of up to three values; of the first and the last value, which have no side before or after,
+    the neighbour stands for it, so that a step near an end is no bad date. 0 where both levels do not lie on one side
+    of the value. The scale is
     the median step from value to value (which a step of the level, or one bad date, moves little), and not less than
     `least`, nor than the deviation that clutter gives a value on the level. `sd` (n,) [dB] is that of the value itself:
     the target beats with clutter, so that it goes with the inverse root of power.
@@ -217,8 +224,9 @@ def deviations(values: F64, sd: F64, least: float) -> tuple[F64, F64]:
     spread = 1.4826 / np.sqrt(2.0) * np.median(np.abs(np.diff(values, axis=1)), axis=1)
     level = np.zeros_like(values)
     for k in range(count):
-        sides = [values[:, max(k - NEIGHBOURS, 0) : k], values[:, k + 1 : k + 1 + NEIGHBOURS]]
-        off = np.stack([values[:, k] - np.median(side, axis=1) for side in sides if side.shape[1]])
+        before, after = values[:, max(k - NEIGHBOURS, 0) : k], values[:, k + 1 : k + 1 + NEIGHBOURS]
+        sides = before if k else after[:, :1], after if k + 1 < count else before[:, -1:]
+        off = np.stack([values[:, k] - np.median(side, axis=1) for side in sides])
         one_side = (off.min(axis=0) * off.max(axis=0)) > 0.0
         nearer = np.take_along_axis(off, np.abs(off).argmin(axis=0)[None], axis=0)[0]
         level[:, k] = np.where(one_side, nearer, 0.0)

@@ -251,6 +251,6 @@ def _words(
         words.append(f"It cannot be told here from: {'; '.join(mates)}.")
     if bad:
         words.append(
-            f"{len(bad)} values were set aside: the reflector was not seen, or lies far off its own level at that date."
+            f"Set aside: {len(bad)} value(s), at which the reflector was not seen, or lies far off its own level."
         )
     return words

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,12 +17,16 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLOURS = ("tab:blue", "tab:orange", "tab:green", "tab:purple", "tab:brown", "tab:cyan")
+ABOVE: dict[str, Any] = {"frameon": False, "fontsize": 7, "loc": "lower left", "bbox_to_anchor": (0.0, 1.0)}
+"""Of a legend: within the axes its marks look like values."""
 KILOMETRE = 111.195
 """Of a degree of latitude."""
 
 
-def map_figure(observations: Sequence[ReflectorObservation]) -> Figure:
-    """Where the reflectors stand, and how far each lies off its prediction on average."""
+def map_figure(observations: Sequence[ReflectorObservation], explanation: Explanation) -> Figure:
+    """Where the reflectors stand, and how far each lies off its prediction on average, without bad dates."""
+    bad = {(one.site, one.date) for one in explanation.bad_dates}
+    good = [one for one in observations if one.stands and (one.site.name, str(one.date)[:10]) not in bad]
     sites = {one.site.name: one.site for one in observations}
     lat = np.array([site.latitude_deg for site in sites.values()])
     lon = np.array([site.longitude_deg for site in sites.values()])
@@ -30,7 +34,7 @@ def map_figure(observations: Sequence[ReflectorObservation]) -> Figure:
     north = (lat - lat.mean()) * KILOMETRE
     means = []
     for name in sites:
-        own = [one.difference_db for one in observations if one.site.name == name and one.difference_db is not None]
+        own = [one.difference_db for one in good if one.site.name == name and one.difference_db is not None]
         means.append(float(np.mean(own)) if own else np.nan)
     values = np.array(means)
     figure, axes = figures.new(5.0, 4.2)
@@ -49,7 +53,8 @@ def map_figure(observations: Sequence[ReflectorObservation]) -> Figure:
     )
     for name, x, y in zip(sites, east, north, strict=True):
         axes.annotate(name, (x, y), xytext=(6, 6), textcoords="offset points", fontsize=8)
-    figure.colorbar(drawn, ax=axes, label="mean difference [dB]")
+    if not unknown.all():
+        figure.colorbar(drawn, ax=axes, label="mean difference [dB]")
     if unknown.any():
         axes.legend(frameon=False, fontsize=8)
     if len(sites) == 1:
@@ -67,7 +72,8 @@ def passes(observations: Sequence[ReflectorObservation]) -> dict[str, list[Refle
     found: dict[str, list[ReflectorObservation]] = {}
     for one in observations:
         look = "" if one.expected is None else f", from {one.expected.azimuth_deg:.0f}°"
-        found.setdefault(f"{one.platform} {one.polarization or ''}{look}", []).append(one)
+        words = [*one.platform.split(), one.polarization or ""]
+        found.setdefault(" ".join(dict.fromkeys(words)).strip() + look, []).append(one)
     return found
 
 
@@ -113,7 +119,9 @@ def series_figure(
     axes.set_ylabel("RCS [dBsm]")
     axes.grid(alpha=0.3)
     axes.tick_params(axis="x", labelrotation=25)
-    axes.legend(frameon=False, fontsize=7, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
+    for each in axes.get_xticklabels():
+        each.set(ha="right", rotation_mode="anchor")
+    axes.legend(**ABOVE, ncols=2)
     return figure
 
 
@@ -122,7 +130,8 @@ def _dbsm(area: float) -> float:
 
 
 def incidence_figure(observations: Sequence[ReflectorObservation], explanation: Explanation) -> Figure:
-    """Measured over predicted against incidence, and what the causes together make of it."""
+    """Measured over predicted against incidence, and what the causes together make of it; bad dates are crossed."""
+    bad = {(one.site, one.date) for one in explanation.bad_dates}
     figure, axes = figures.new(5.0, 4.2)
     names = list(dict.fromkeys(one.site.name for one in observations))
     for name, colour in zip(names, COLOURS * 99, strict=False):
@@ -133,6 +142,9 @@ def incidence_figure(observations: Sequence[ReflectorObservation], explanation: 
         off = np.array([one.difference_db for one in own], np.float64)
         error = np.array([one.difference_sd_db or 0.0 for one in own])
         axes.errorbar(angle, off, 1.645 * error, fmt="o", ms=3.5, lw=0.8, color=colour, label=name)
+        for x, y, one in zip(angle, off, own, strict=False):
+            if (name, str(one.date)[:10]) in bad:
+                axes.plot([x], [y], "x", color="black", ms=9)
     data = explanation.differences
     if data is not None and explanation.joint is not None:
         axes.plot(data.incidence_deg, explanation.joint.fit.fitted, "k_", ms=9, label="causes together")
@@ -142,7 +154,7 @@ def incidence_figure(observations: Sequence[ReflectorObservation], explanation: 
     axes.set_ylabel("measured / predicted [dB]")
     axes.grid(alpha=0.3)
     if len(names) <= 12:
-        axes.legend(frameon=False, fontsize=7)
+        axes.legend(**ABOVE, ncols=4)
     return figure
 
 
@@ -160,5 +172,5 @@ def offset_figure(observations: Sequence[ReflectorObservation]) -> Figure:
     axes.set_ylabel("azimuth, found − expected [m]")
     axes.grid(alpha=0.3)
     if len(names) <= 12:
-        axes.legend(frameon=False, fontsize=7)
+        axes.legend(**ABOVE, ncols=4)
     return figure

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from warpsar.calibration.joint import JointFit, joint, together_words
-from warpsar.calibration.measure import ReflectorObservation
+from warpsar.calibration.measure import ALLOWANCE_M, ReflectorObservation
 from warpsar.calibration.places import offsets, place_causes, place_situations
 
 CONFIDENCE = 0.9
@@ -60,9 +60,11 @@ class Geolocation:
         }
 
 
-def geolocation(observations: Sequence[ReflectorObservation]) -> Geolocation | None:
-    """None where nothing was found."""
-    both = offsets(observations, 0), offsets(observations, 1)
+def geolocation(
+    observations: Sequence[ReflectorObservation], allowance_m: tuple[float, float] = ALLOWANCE_M
+) -> Geolocation | None:
+    """None where nothing was found. `allowance_m`: how far off places were looked for, in azimuth and slant range."""
+    both = offsets(observations, 0, allowance_m[0]), offsets(observations, 1, allowance_m[1])
     if not len(both[0]):
         return None
     whole = _offset(both[0].value), _offset(both[1].value)

@@ -6,7 +6,7 @@ and a scatter from image to image that all reflectors of an image share. The two
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -27,7 +27,7 @@ ALIKE = 2.0 * float(np.log(10.0))
 HELD_SHARE = 1.0 / 3.0
 """Of the dates, the later ones, which confirm a cause or do not."""
 FEWEST_DATES, FEWEST_EARLY = 6, 4
-MOST_CAUSES = 8
+MOST_CAUSES, MOST_STEPS = 8, 24
 REFITTED = 3
 """Of the candidates of a step, the best ones by a quick score, which are fitted with their own scatter."""
 ROUGH = 10.0
@@ -39,6 +39,11 @@ EARLY_CHANCE, UNTESTED_CHANCE = 0.05, 0.01
 CONFIRMED = float(np.log(10.0))
 """Log-likelihood that a cause must add at later dates. Without the cause its likelihood ratio is 1 on average, as the
 earlier dates have set its value; so it exceeds 10 in at most 1 of 10 cases (Markov's inequality)."""
+WORDED = ("year of the step, from the first date",)
+"""Parameters that a cause's title says already, as a date."""
+UNCONFIRMED = "the earlier ones alone do not choose it, or the later ones do not confirm it"
+SAME = 0.1
+"""BIC by which two fits of one model may differ: their scatters are found to some hundredths."""
 CausesOf = Callable[[Differences], list[Cause]]
 
 
@@ -331,9 +336,10 @@ class JointCause:
     tied_high: F64
     """Ends of all its intervals, beside all that could stand for the other causes."""
     gain: float
-    """Log-likelihood that it adds when it is chosen."""
+    """Log-likelihood of all dates that it adds to the other causes."""
     held_gain: float | None
-    """Log-likelihood that it adds at the later dates, which did not choose it; None where it was not tried on any."""
+    """Log-likelihood that it adds to the other confirmed causes at the later dates, which did not choose it; None where
+    none were held back, or the earlier dates did not choose it, or the later ones did not confirm it."""
     held_error: float | None
     """Standard error of that, by the scatter over images."""
 
@@ -397,6 +403,8 @@ class JointFit:
             "image_scatter": self.scatter.image,
             "bic_over_none": self.without,
             "held_dates": self.held_dates,
+            "intervals": "low to high: of the cause if it is the right one; tied_low to tied_high: over all that could "
+            "stand for the others",
         }
 
 
@@ -410,37 +418,41 @@ def joint(
 
     A step takes the cause that lowers the earlier dates' BIC the most, if made-up values without it gain as much by any
     cause in at most `EARLY_CHANCE` of the cases (`chance_of_gain`). It stays only if the later dates, which had no say
-    in that, become more likely by `CONFIRMED`. What only all dates together need is added afterwards, at
-    `UNTESTED_CHANCE`, and has no `held_gain`. At the end what is no longer needed goes. All is then fitted to all
-    dates. `trials`: of all dates and of the earlier ones, where they are there.
+    in that, become more likely by `CONFIRMED`. Then each cause that was chosen before is asked again, beside all others
+    (`asked_again`). What only all dates together need is added afterwards, at `UNTESTED_CHANCE`, and has no
+    `held_gain`. All is then fitted to all dates, where each cause is asked once more. `trials`: of all dates and of the
+    earlier ones, where they are there.
     """
     early, late = halves(data)
     chosen: dict[str, F64] = {}
-    tried: dict[str, tuple[float, float, float]] = {}
+    tested: dict[str, tuple[float, float]] = {}
     if early is not None and late is not None:
         first = trials[1] if trials is not None and trials[1] is not None else Trials(early, causes_of(early))
-        chosen, tried = _confirmed(first, late)
+        chosen, tested = _confirmed(first, late)
     every = trials[0] if trials is not None else Trials(data, causes_of(data))
     model = CauseModel(tuple(cause for name in chosen for cause in every.causes if cause.name == name))
     start = model.free([chosen[cause.name] for cause in model.causes])
     fit = fit_model(model, data, start=start)
     bare = fit if not model.causes else fit_model(CauseModel(()), data)
-    gains: dict[str, float] = {name: gain for name, (gain, _, _) in tried.items()}
-    while len(fit.model.causes) < MOST_CAUSES:
-        step = _step(fit, every, UNTESTED_CHANCE)
-        if step is None:
+
+    def needed(step: Addition) -> bool:
+        return step.chance <= (EARLY_CHANCE if step.cause.name in tested else UNTESTED_CHANCE)
+
+    fit = asked_again(fit, fit.model.causes, every, needed, tested)
+    for _ in range(MOST_STEPS):
+        step = best_addition(fit, every)
+        if step is None or not needed(step) or len(fit.model.causes) >= MOST_CAUSES:
             break
-        gains[step.model.causes[-1].name] = step.log_likelihood - fit.log_likelihood
-        fit = step
-    fit = _pruned(fit, data)
+        fit = asked_again(step.after, fit.model.causes, every, needed, tested)
     stands, others = _stands(fit, every, situations)
     found = []
     for cause, x, low, high in intervals(fit.model, fit.free, fit.covariance):
-        _, gain, sd = tried.get(cause.name, (0.0, None, None))
+        held_gain, held_error = tested.get(cause.name, (None, None))
+        gain = fit.log_likelihood - _without(fit, cause, data).log_likelihood
         ends = [(a, b) for each in others for c, _, a, b in each if c is cause]
         lowest = np.min([low, *(np.where(b > a, a, low) for a, b in ends)], axis=0)
         highest = np.max([high, *(np.where(b > a, b, high) for a, b in ends)], axis=0)
-        found.append(JointCause(cause, x, low, high, lowest, highest, gains.get(cause.name, 0.0), gain, sd))
+        found.append(JointCause(cause, x, low, high, lowest, highest, gain, held_gain, held_error))
     return JointFit(
         tuple(found), tuple(stands), tuple(_together(fit)),
         fit.scatter, fit, bare.bic - fit.bic, 0 if late is None else int(np.unique(late.days).size),
@@ -460,25 +472,34 @@ def halves(data: Differences) -> tuple[Differences | None, Differences | None]:
     return early, late
 
 
-def _confirmed(trials: Trials, late: Differences) -> tuple[dict[str, F64], dict[str, tuple[float, float, float]]]:
-    """Causes that the earlier dates choose and the later ones confirm, with their values, and of each what it gains."""
+def _confirmed(trials: Trials, late: Differences) -> tuple[dict[str, F64], dict[str, tuple[float, float]]]:
+    """Causes that the earlier dates choose and the later ones confirm, with their values, and what each adds there."""
     fit = fit_model(CauseModel(()), trials.data)
-    found: dict[str, tuple[float, float, float]] = {}
-    while len(fit.model.causes) < MOST_CAUSES:
-        step = _step(fit, trials, EARLY_CHANCE)
-        if step is None:
+
+    def needed(step: Addition) -> bool:
+        return float(_held_gains(step.before, step.after, late).sum()) > CONFIRMED and step.chance <= EARLY_CHANCE
+
+    for _ in range(MOST_STEPS):
+        step = best_addition(fit, trials)
+        if step is None or step.chance > EARLY_CHANCE or len(fit.model.causes) >= MOST_CAUSES:
             break
-        # Under one scatter, which holds what neither has: else a cause is denied for another one that is missing.
-        gained = by_image(step, late, fit.scatter) - by_image(fit, late, fit.scatter)
-        gain = float(gained.sum())
-        name = step.model.causes[-1].name
-        if gain <= CONFIRMED:  # it is tried no more on these dates: others like it would be confirmed by chance
-            trials.without(name)
-            continue
+        if needed(step):
+            fit = asked_again(step.after, fit.model.causes, trials, needed)
+        else:  # it is tried no more on these dates: others like it would be confirmed by chance
+            trials.without(step.cause.name)
+    found = {}
+    for cause in fit.model.causes:
+        gained = _held_gains(_without(fit, cause, trials.data), fit, late)
         error = float(np.sqrt(gained.size) * gained.std(ddof=1)) if gained.size > 1 else float("nan")
-        found[name] = step.log_likelihood - fit.log_likelihood, gain, error
-        fit = step
+        found[cause.name] = float(gained.sum()), error
     return {cause.name: x for cause, x in zip(fit.model.causes, fit.values, strict=True)}, found
+
+
+def _held_gains(before: CauseFit, after: CauseFit, late: Differences) -> F64:
+    """Log-likelihood that a cause adds at each image of other dates.
+
+    Under one scatter, which holds what neither has: else a cause is denied for another one that is missing."""
+    return by_image(after, late, before.scatter) - by_image(before, late, before.scatter)
 
 
 def by_image(fit: CauseFit, late: Differences, scatter: ExtraScatter | None = None) -> F64:
@@ -491,26 +512,43 @@ def by_image(fit: CauseFit, late: Differences, scatter: ExtraScatter | None = No
     return -0.5 * (np.bincount(late.image, white, errors.count) + shared)[images]
 
 
-def _step(fit: CauseFit, trials: Trials, allowed: float) -> CauseFit | None:
-    """The best addition, if chance alone gains as much in at most so many of the cases."""
-    found = best_addition(fit, trials)
-    return found[0] if found is not None and found[1] <= allowed else None
+@dataclass(frozen=True)
+class Addition:
+    """A fit, the same with a cause more, and all additions that were tried."""
+
+    before: CauseFit
+    after: CauseFit
+    cause: Cause
+    trials: Trials = field(repr=False)
+    tried: tuple[CauseModel, ...] = field(repr=False)
+
+    @cached_property
+    def chance(self) -> float:
+        """That values without the cause gain as much by the best of all that was tried."""
+        data = self.trials.data
+        pairs = [
+            ModelledValues(data.value - one.fitted, _slopes(one.model, data, one.free))
+            for one in (self.before, self.after)
+        ]
+        tried = [each for model in self.tried for each in self.trials.directions(model)]
+        counted = self.after.model.counted - self.before.model.counted
+        return chance_of_gain(data, self.before.scatter, pairs[0], pairs[1], counted, tried)
 
 
-def best_addition(fit: CauseFit, trials: Trials) -> tuple[CauseFit, float] | None:
-    """The model with one cause more that has the lowest BIC, and the chance of such a gain; None where BIC rises."""
+def best_addition(fit: CauseFit, trials: Trials) -> Addition | None:
+    """The model with one cause more that has the lowest BIC; None where BIC rises."""
     scored = trials.best(fit.model, fit.free, fit.scatter)
-    if not scored:
-        return None
     fits = [fit_model(model, trials.data, fit.scatter, start) for _, model, start in scored[:REFITTED]]
-    best = min(fits, key=lambda one: round(one.bic, 6))
+    best = min(fits, key=lambda one: round(one.bic, 6), default=fit)
     if best.bic >= fit.bic:
         return None
-    data, before = trials.data, fit.model
-    pairs = [ModelledValues(data.value - one.fitted, _slopes(one.model, data, one.free)) for one in (fit, best)]
-    tried = [each for _, model, _ in scored for each in trials.directions(model)]
-    counted = best.model.counted - before.counted
-    return best, chance_of_gain(data, fit.scatter, pairs[0], pairs[1], counted, tried)
+    return Addition(fit, best, best.model.causes[-1], trials, tuple(model for _, model, _ in scored))
+
+
+def _without(fit: CauseFit, cause: Cause, data: Differences) -> CauseFit:
+    """At its best without a cause."""
+    model, start = _less(fit, cause)
+    return fit_model(model, data, fit.scatter, start)
 
 
 def _less(fit: CauseFit, cause: Cause) -> tuple[CauseModel, F64]:
@@ -520,17 +558,29 @@ def _less(fit: CauseFit, cause: Cause) -> tuple[CauseModel, F64]:
     return model, model.free([x for _, x in kept])
 
 
-def _pruned(fit: CauseFit, data: Differences) -> CauseFit:
-    """Without causes that the others have made needless."""
-    while fit.model.causes:
-        fewer = []
-        for cause in fit.model.causes:
-            model, start = _less(fit, cause)
-            fewer.append(fit_model(model, data, fit.scatter, start))
-        best = min(fewer, key=lambda one: one.bic)
-        if best.bic > fit.bic:
-            break
-        fit = best
+def asked_again(
+    fit: CauseFit,
+    causes: Sequence[Cause],
+    trials: Trials,
+    needed: Callable[[Addition], bool],
+    tested: Collection[str] = (),
+) -> CauseFit:
+    """Each of these causes of the fit as if it were the last one to be added, with the others free.
+
+    What the others have made needless goes. Where another cause in its place has a lower BIC, that one takes it, but
+    not the place of one that later dates have `tested`.
+    """
+    for cause in causes:
+        kept = _without(fit, cause, trials.data)
+        best = best_addition(kept, trials)
+        if best is None:
+            fit = kept
+            continue
+        better = best.cause is not cause and best.after.bic < fit.bic - SAME
+        if better and cause.name not in tested and needed(best):
+            fit = best.after
+        elif not needed(replace(best, after=fit, cause=cause)):
+            fit = kept
     return fit
 
 
@@ -593,7 +643,7 @@ def values_words(cause: Cause, values: F64, low: F64, high: F64, tied: tuple[F64
     """Parameters with intervals, and with `tied` ends where those lie well beyond."""
     words = []
     for name, v, a, b, c, d in zip(cause.parameters, values, low, high, *(tied or (low, high)), strict=True):
-        if b <= a and v == 0.0:
+        if b <= a and (v == 0.0 or name in WORDED):
             continue
         ends = f"{a:.3g} to {b:.3g}" if b > a else ""
         if d - c > 1.5 * (b - a):
@@ -616,7 +666,8 @@ def together_words(found: JointFit, unit: str = "dB") -> list[str]:
         return ["Together: no cause is needed."]
     words = []
     for one in found.causes:
-        tested = "seen in all dates together only; no later dates tested it"
+        tested = "seen in all dates together only: "
+        tested += UNCONFIRMED if found.held_dates else "they are too few to hold some back"
         if one.held_gain is not None:
             tested = f"the {found.held_dates} later dates confirm it (ln L {one.held_gain:+.1f})"
         words.append(f"{one.cause.title} ({joint_values_words(one)}; {tested})")

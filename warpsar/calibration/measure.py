@@ -33,6 +33,8 @@ CELLS_BESIDE = 1.0
 """Beyond the window: nearer than this a point has its main lobe in it."""
 ONE_PLACE_CELLS = 0.01
 """Nearer than this two sites are one device."""
+ALLOWANCE_M = (15.0, 15.0)
+"""In azimuth and slant range: atmosphere (2 to 4 m), tides (0.2 m), and the product's own timing."""
 FEWEST_PIXELS = 2.0
 """Lines and pixels that are searched, where the allowance is less."""
 

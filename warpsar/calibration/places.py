@@ -9,19 +9,25 @@ from numpy.typing import NDArray
 
 from warpsar.calibration.causes import ALL, LEAST_SPAN_DEG, LEAST_SPAN_YEARS, Cause, Situation
 from warpsar.calibration.differences import YEAR_S, Differences, images_of
-from warpsar.calibration.measure import ReflectorObservation
+from warpsar.calibration.measure import FEWEST_PIXELS, ReflectorObservation
 
 F64 = NDArray[np.float64]
-LEAST_SCATTER_M, MOST_SCATTER_M = 0.02, 50.0
+LEAST_SCATTER_M = 0.02
+"""From date to date; a choice. Some 0.01 m was reached, with all corrections (Eineder et al., IEEE TGRS 49, 2011)."""
 FARTHEST_M = 1e4
 
 
-def offsets(observations: Sequence[ReflectorObservation], axis: int) -> Differences:
-    """Of reflectors that are seen, stand, and are surveyed; `axis` is 0 for azimuth, 1 for slant range."""
+def offsets(observations: Sequence[ReflectorObservation], axis: int, allowance_m: float) -> Differences:
+    """Of reflectors that are seen, stand, and are surveyed; `axis` is 0 for azimuth, 1 for slant range.
+
+    Places scatter by sqrt(1/3) of what was searched at most: so do peaks that lie anywhere in it.
+    """
     used = [one for one in observations if one.offset_m is not None and one.stands and one.site.for_place]
     used = [one for one in used if one.point is not None and one.point.seen and one.expected is not None]
     used.sort(key=lambda one: (one.date, one.site.name))
     names = tuple(dict.fromkeys(one.site.name for one in used))
+    spacings = [one.spacing_m[axis] for one in used if one.spacing_m is not None]
+    searched = max(allowance_m, FEWEST_PIXELS * max(spacings, default=0.0))
     first = used[0].date if used else np.datetime64("2000-01-01")
     return Differences(
         tuple(used),
@@ -34,7 +40,7 @@ def offsets(observations: Sequence[ReflectorObservation], axis: int) -> Differen
         np.array([one.expected.toward_radar for one in used if one.expected is not None]).reshape(-1, 3),
         images_of(used),
         LEAST_SCATTER_M,
-        MOST_SCATTER_M,
+        searched / np.sqrt(3.0),
     )
 
 

@@ -100,7 +100,7 @@ def _summary(
         if one.status != "measured"
     ]
     problems += list(content.get("refused", []))
-    drawings = [report.drawing(map_figure(observations), "Where the reflectors stand")]
+    drawings = [report.drawing(map_figure(observations, explanation), "Where the reflectors stand")]
     if explanation.differences is not None:
         drawings.append(report.drawing(incidence_figure(observations, explanation), "Difference against incidence"))
     if any(one.offset_m is not None for one in observations):
@@ -170,20 +170,22 @@ def _together(explanation: Explanation) -> str:
         return ""
     rows = []
     for one in found.causes:
-        held = "not tried" if one.held_gain is None else f"{one.held_gain:+.1f}"
+        none = "not confirmed" if found.held_dates else "not tried"
+        held = none if one.held_gain is None else f"{one.held_gain:+.1f}"
         held += f" ± {one.held_error:.1f}" if one.held_error is not None and np.isfinite(one.held_error) else ""
         words = joint_values_words(one)
         rows.append([one.cause.title, words, f"{one.gain:+.1f}", held])
     said = (
         "Causes are added one after the other while the earlier dates need them and the later ones, which do not "
-        "choose, become more likely. Intervals of 90 % let the other causes move. Of the scatter that is left, "
+        "choose, become more likely; each is then asked again beside the others. Intervals of 90 % let the other "
+        "causes move. Of the scatter that is left, "
         f"{found.scatter.value:.2f} dB are of each value and {found.scatter.image:.2f} dB of each image."
     )
     blocks = [report.paragraph(said, quiet=True)]
     if rows:
         later = f"ln L of the {found.held_dates} later dates" if found.held_dates else "ln L of later dates"
         blocks.append(
-            report.table(["cause", "at its best, with the others", "ln L where it was chosen", later], rows, "", (0, 1))
+            report.table(["cause", "at its best, with the others", "ln L that it adds", later], rows, "", (0, 1))
         )
     else:
         blocks.append(report.paragraph("No cause is needed."))
@@ -256,6 +258,7 @@ def _cutouts(observations: Sequence[ReflectorObservation]) -> str:
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = 10.0 * np.log10(measured / model)
         name = f"{one.site.name}, {str(one.date)[:10]}"
+        name += "" if one.status == "measured" else f", {one.status}"
         axes = _axes(one)
         for power, what in ((measured, "measured"), (model, "predicted")):
             grey = report.colour(scale.grey(in_decibel(power)), "gray", 0.0, 1.0)
@@ -267,7 +270,8 @@ def _cutouts(observations: Sequence[ReflectorObservation]) -> str:
     )
     said = (
         "The prediction is the response of the stated bandwidth with the predicted RCS at the place that was found, in "
-        "clutter of the mean level. Without a prediction it has the measured RCS. Speckle scatters the residual."
+        "clutter of the mean level; of a date at which no reflector stands, clutter alone. Without a prediction it has "
+        "the measured RCS. Speckle scatters the residual, further to weak than to strong, so that clutter looks blue."
     )
     return report.section(
         "Cut-outs", report.paragraph(said, quiet=True), keys, report.row(*cells, across=6, least_px=120)
@@ -308,7 +312,7 @@ def predicted_power(one: ReflectorObservation) -> F64:
             one.response, (lines, pixels), (one.point.line, one.point.pixel), one.spacing_m, strict=True
         )
     ]
-    area = one.predicted_m2 or max(one.point.rcs_m2, 0.0)
+    area = (one.predicted_m2 or max(one.point.rcs_m2, 0.0)) if one.stands else 0.0
     return np.asarray(area * cuts[0][:, None] * cuts[1] + one.point.clutter)
 
 

@@ -27,7 +27,7 @@ class ErrorCovariance:
         self.diagonal = data.sd**2 + scatter.value**2
         self.image, self.shared = data.image, scatter.image**2
         self.count = int(data.image.max(initial=-1)) + 1
-        self.members = (np.arange(self.count)[:, None] == data.image).astype(np.float64)
+        self.members = data.members
         self.inverse_sum = np.bincount(data.image, 1.0 / self.diagonal, self.count)
 
     def whitened(self, values: F64) -> F64:

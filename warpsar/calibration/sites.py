@@ -152,18 +152,21 @@ def read(path: Path) -> list[ReflectorSite]:
     header = [_key(cell) for cell in rows[0][1]]
     layout = next((one for names, one in _LAYOUTS if set(names) <= set(header)), None)
     if layout is None:
-        needed = "id, latitude_deg, longitude_deg, height_m"
-        near = next((f"{hint}" for name in header if (hint := did_you_mean(name, COLUMNS))), "")
+        missing = [name for name in COLUMNS[:4] if name not in header]
+        unknown = [name for name in header if name not in COLUMNS]
+        near = next((f"{hint}" for name in unknown if (hint := did_you_mean(name, missing))), "")
         raise InputError(
-            f"{path}: found the columns {', '.join(rows[0][1])[:200]}; must have {needed}, or "
-            f"be a table of GECORIS, UAVSAR, ISCE3 or NISAR{near}"
+            f"{path}: line {rows[0][0]}: found the columns {', '.join(rows[0][1])[:200]}, without "
+            f"{', '.join(missing)}; must have {', '.join(COLUMNS[:4])}, or be a table of GECORIS, UAVSAR, ISCE3 or "
+            f"NISAR{near}"
         )
     sites = [layout(_Row(path, line, dict(zip(header, row, strict=False)))) for line, row in rows[1:]]
-    seen: set[tuple[str, np.datetime64 | None]] = set()
+    seen: dict[tuple[str, np.datetime64 | None], int] = {}
     for (line, _), one in zip(rows[1:], sites, strict=True):
-        if (one.name, one.surveyed) in seen:
-            raise InputError(f"{path}: line {line}: found {one.name} twice; must have a survey date of its own")
-        seen.add((one.name, one.surveyed))
+        if first := seen.get((one.name, one.surveyed)):
+            allowed = "there once" if one.surveyed is None else "there once for each survey date"
+            raise InputError(f"{path}: line {line}: id: found {shown(one.name)}, as in line {first}; must be {allowed}")
+        seen[one.name, one.surveyed] = line
     return sites
 
 

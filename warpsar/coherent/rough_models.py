@@ -16,6 +16,7 @@ from warpsar.kernels import crossed_table, parts
 from warpsar.kernels.codes import Coordinate, Spectrum
 from warpsar.kernels.incidence_table import DOUBLE
 from warpsar.models import registry
+from warpsar.runtime import devices
 from warpsar.surface import tables as sigma0_tables
 from warpsar.surface.surface import places_of
 from warpsar.surface.terms import Terms
@@ -62,8 +63,7 @@ class ScattererGroup:
 
 def load(kinds: NDArray[np.int64], make: Callable[[str, bool], wp.Kernel], device: wp.Device) -> None:
     """Compile the kinds' kernels, or load them from Warp's cache, before threads launch them."""
-    for kind in np.unique(kinds[kinds > 0]).tolist():
-        wp.load_module(kernel_of(kind, make).module, device=device)
+    devices.load_kernels(device, alone=[kernel_of(kind, make) for kind in np.unique(kinds[kinds > 0]).tolist()])
 
 
 def kernel_of(kind: int, make: Callable[[str, bool], wp.Kernel]) -> wp.Kernel:

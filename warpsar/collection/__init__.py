@@ -1,12 +1,11 @@
 """What a sensor records on its track: phase history, and the complex images that come from it.
 
-presets: published systems. track_file: where the sensor is at each pulse, from CSV and CPHD. plan: band, track and
-system of a view, checked. response: widths and cells of a system. scatterers: what sends back, from the coherent
-engine. moved: with what effects do to them. places: the same of one direction. bodies: the mesh on the device, kept
-from view to view. history: phase history. slc: complex images, and focusing. direct: each scatterer times the
-response. noise: of the receiver. samples: what effects do to those of a complex image. forecast: time and memory,
-measured on parts of the work.
-command: `warpsar simulate --product`.
+presets: published systems. track_file: where the sensor is at each pulse, from CSV and CPHD. antenna_file: a measured
+pattern. plan: band, track and system of a view, checked. response: widths and cells of a system. scatterers: what sends
+back, from the coherent engine. moved: with what effects do to them. places: the same of one direction. bodies: the mesh
+on the device, kept from view to view. history: phase history. slc: complex images, and focusing. direct: each scatterer
+times the response. noise: of the receiver. samples: what effects do to those of a complex image. forecast: time and
+memory, measured on parts of the work. command: `warpsar simulate --product`.
 """
 
 import lazy_loader

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ import warp as wp
 from warpsar.collection.bodies import Bodies
 from warpsar.collection.direct import DirectImage, direct, direct_of_rough, refuse_direct, rough_of
 from warpsar.collection.forecast import forecast, placed_on_device, room_of
-from warpsar.collection.history import Collected
+from warpsar.collection.history import Collected, mixed
 from warpsar.collection.history import phase_history as recorded
 from warpsar.collection.noise import with_image_noise, with_noise
 from warpsar.collection.places import TubeTally
@@ -91,6 +92,14 @@ def _focused(bodies: Bodies, plan: Plan, index: int) -> Slc:
     refuse_direct(plan, world.name)
     load_kernels(device)
     names = tuple(world.radar.polarizations)
+    image = _direct(bodies, plan, names)
+    samples = mixed(plan, np.stack(list(image.images.values())), names)
+    image = replace(image, images=dict(zip(names, samples, strict=True)))
+    return with_image_noise(image, bodies.seed + 7919 * index)
+
+
+def _direct(bodies: Bodies, plan: Plan, names: tuple[str, ...]) -> Slc:
+    world, device = bodies.world, bodies.device
     if not placed_on_device(world, plan):
         with _stream(bodies, plan, once=True) as found:
             image = direct(plan, found, names, world.grid, device, bodies.tile_bytes)
@@ -103,7 +112,7 @@ def _focused(bodies: Bodies, plan: Plan, index: int) -> Slc:
     else:
         with _stream(bodies, plan, once=True, rough=False) as found:
             image = direct(plan, found, names, world.grid, device, bodies.tile_bytes, rough_of(bodies, plan))
-    return with_image_noise(image, bodies.seed + 7919 * index)
+    return image
 
 
 @contextmanager
@@ -153,8 +162,9 @@ def wide_tubes(tally: TubeTally) -> list[str]:
 
 
 def load_kernels(device: wp.Device) -> None:
-    coherent = ("tubes", "radiate", "edges", "rough", "placing")
-    devices.load_kernels(device, *(f"coherent.{name}" for name in coherent), "collection", "backproject")
+    names = [f"coherent.{name}" for name in ("tubes", "radiate", "edges", "rough", "placing")]
+    names += ["collection", "backproject", *(["pulse_deposit"] if device.is_cpu else [])]
+    devices.load_kernels(device, *names)
 
 
 def run(

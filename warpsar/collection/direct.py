@@ -53,6 +53,12 @@ def refuse_direct(plan: Plan, name: str) -> None:
         why = "a squint"
     elif plan.table.velocity_m_s:
         why = "a moving object"
+    elif plan.table.azimuth_ambiguities:
+        why = "azimuth_ambiguities"
+    elif plan.pattern is not None and plan.stripmap:
+        why = "a measured pattern along a stripmap"
+    elif plan.table.errors is not None and plan.table.errors.of_pulses:
+        why = "errors of track, timing or frequency"
     elif plan.stripmap and plan.phase_error is not None:
         why = "a phase error along a stripmap"
     elif (cells := plan.smeared_cells) > MARGIN / 2:
@@ -240,7 +246,8 @@ class DirectImage:
     def made(self, tile: Tile, seen: Seen) -> tuple[NDArray[np.complex64], int]:
         """A tile, (polarizations, rows, columns), and how many scatterers lie in it."""
         device = self.device
-        out = wp.zeros((len(self.polarizations), *self.samples(tile)), dtype=wp.vec2, device=device)
+        rows, columns = self.samples(tile)
+        out = wp.zeros((len(self.polarizations), rows, columns + columns % 2), dtype=wp.vec2, device=device)
         counts = wp.zeros(_COUNTERS, dtype=int, device=device)
         frame = self.frame(tile)
         for one in seen(frame, *self.reach(tile)):

@@ -13,27 +13,32 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import fft
 
 from warpsar.coherent.records import upload
+from warpsar.collection.antenna_file import AntennaPatternTable
 from warpsar.collection.plan import MOST, Plan, boresight
 from warpsar.collection.scatterers import TOGETHER, ScattererPart, Scatterers, Stream
 from warpsar.errors import InputError
 from warpsar.formats.base.acquisition import RecordedSignal
 from warpsar.formats.base.data import PhaseHistory
 from warpsar.kernels import collection as kernels
-from warpsar.runtime import threads
+from warpsar.kernels import pulse_deposit
+from warpsar.runtime import devices, threads
 from warpsar.runtime.structs import fill
 from warpsar.version import __version__
+from warpsar.world.collection import AntennaChannels
 from warpsar.world.frame import SPEED_OF_LIGHT
 
 if TYPE_CHECKING:
     import xarray
 
 OVERSAMPLING = 2
-LANES = {"cpu": 1, "cuda": 4096}
-"""Threads for each pulse."""
+LANES = 4096
+"""Threads for each pulse on CUDA."""
+POINTS_TOGETHER = 4096
+"""Of the adjoint, in a task of the CPU."""
 PULSES_TOGETHER = {"cpu": 16, "cuda": 1024}
 
 
@@ -65,10 +70,10 @@ class Collected:
             samples=self.samples[self.polarizations.index(polarization)],
             frequency_start_hz=np.full(pulses, plan.start_hz),
             frequency_step_hz=np.full(pulses, plan.step_hz),
-            position_m=plan.track.receiver_m,
-            reference_range_m=plan.track.reference_m(),
+            position_m=plan.recorded.receiver_m,
+            reference_range_m=plan.recorded.reference_m(),
             polarization=polarization,
-            transmitter_m=plan.track.transmitter_m if plan.track.bistatic else None,
+            transmitter_m=plan.recorded.transmitter_m if plan.recorded.bistatic else None,
         )
 
     def signal(self) -> RecordedSignal:
@@ -83,7 +88,7 @@ class Collected:
             import xarray
         except ImportError as error:
             raise InputError('xarray is needed: pip install "warpsar[xarray]"') from error
-        track = self.plan.track
+        track = self.plan.recorded
         place = ("time", "component")
         return xarray.Dataset(
             {
@@ -103,7 +108,7 @@ class Collected:
 
     def arrays(self) -> dict[str, Any]:
         """What the .npz holds."""
-        track = self.plan.track
+        track = self.plan.recorded
         return {
             "samples": self.samples,
             "polarizations": np.array(self.polarizations),
@@ -125,11 +130,94 @@ def phase_history(
     track = track_of(plan, device)
     for parts in _batches(scatterers.parts, getattr(scatterers, "together", TOGETHER)):
         add_spectra(plan, track, parts, spectrum)
-    if plan.phase_error is not None:
-        spectrum *= np.exp(1j * plan.phase_error).astype(np.complex64)[:, None]
+    turn = plan.recorded_turn()
+    if turn is not None:
+        spectrum *= turn
+    spectrum = mixed(plan, spectrum, polarizations)
     return Collected(
         plan, polarizations, np.ascontiguousarray(spectrum.swapaxes(1, 2)), scatterers.count, scatterers.aliased
     )
+
+
+class PhaseHistoryMap:
+    """The linear map from amplitudes of points to their samples, and its adjoint: for inversion and autofocus.
+
+    At the places of pixels the adjoint is a backprojection without a taper, and the map is the adjoint of that one.
+    Both have the antenna's beam and the phases of `plan.recorded_turn`; the map's error is that of `phase_history`.
+    """
+
+    def __init__(self, plan: Plan, points_m: ArrayLike, device: str | None = None) -> None:
+        """`points_m`: (n, 3) about the reference point [m]. Raises InputError and DeviceError."""
+        points = np.asarray(points_m, np.float64)
+        if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
+            raise InputError(f"points_m: found the shape {points.shape}, or no numbers; must be (n, 3), finite")
+        self.plan, self.points_m = plan, points
+        self._device = devices.resolve_device(device)
+        self._track, self._turn = track_of(plan, self._device), plan.recorded_turn()
+
+    def forward(self, amplitude: ArrayLike) -> NDArray[np.complex64]:
+        """Samples, (frequencies, pulses), of amplitudes (n,) [m]: a point's power is its RCS."""
+        values = np.asarray(amplitude, np.complex64)
+        if values.shape != (len(self.points_m),):
+            raise InputError(f"amplitude: found the shape {values.shape}; must be ({len(self.points_m)},)")
+        part = ScattererPart(self.points_m, values[None], np.ones(len(self.plan.track), np.float32))
+        spectrum = np.zeros((1, len(self.plan.track), self.plan.frequencies), np.complex64)
+        add_spectra(self.plan, self._track, [part], spectrum)
+        found = spectrum[0] if self._turn is None else spectrum[0] * self._turn
+        return np.ascontiguousarray(found.T)
+
+    def adjoint(self, samples: ArrayLike) -> NDArray[np.complex64]:
+        """Of samples (frequencies, pulses), (n,): the sum of each times the conjugate of what the point gives to it."""
+        plan, device = self.plan, self._device
+        given = np.asarray(samples, np.complex64)
+        if given.shape != (plan.frequencies, len(plan.track)):
+            raise InputError(f"samples: found the shape {given.shape}; must be ({plan.frequencies}, {len(plan.track)})")
+        bins, step = bins_of(plan), PULSES_TOGETHER["cuda"]
+        order = (np.arange(plan.frequencies) - plan.frequencies // 2) % bins
+        points = upload(self.points_m, wp.vec3d, device)
+        out = wp.zeros(len(points), dtype=wp.vec2d, device=device)
+        for first in range(0, len(plan.track), step):
+            some = slice(first, min(first + step, len(plan.track)))
+            spectrum = given[:, some].T
+            if self._turn is not None:
+                spectrum = spectrum * self._turn[some].conj()
+            whole = np.zeros((len(spectrum), bins), np.complex64)
+            whole[:, order] = spectrum / spread_transform(bins, plan.frequencies)
+            profiles = (fft.ifft(whole, axis=1) * np.float32(bins)).astype(np.complex64)
+            rows = upload(np.arange(some.start, some.stop, dtype=np.int32), int, device)
+            pairs = upload(profiles.view(np.float32).reshape(*profiles.shape, 2), wp.vec2, device)
+
+            def launch(low: int, high: int, rows: wp.array = rows, pairs: wp.array = pairs) -> None:
+                inputs = [rows, self._track, *scales(plan), points[low:high], pairs]
+                wp.launch(kernels.gather_kernel, high - low, inputs=inputs, outputs=[out[low:high]], device=device)
+
+            each = POINTS_TOGETHER if device.is_cpu else max(len(points), 1)
+            tasks = [partial(launch, a, min(a + each, len(points))) for a in range(0, len(points), each)]
+            for _ in threads.ordered(tasks, device):
+                pass
+        found: NDArray[np.complex64] = out.numpy().view(np.complex128)[:, 0].astype(np.complex64)
+        return found
+
+
+def mixed(plan: Plan, samples: NDArray[np.complex64], polarizations: Sequence[str]) -> NDArray[np.complex64]:
+    """What the channels of both antennas make of polarizations, (polarizations, ...): R S T (Quegan 1994).
+
+    HV is transmitted H, received V: the element of S in row V, column H.
+    """
+    errors = plan.table.errors
+    if errors is None or (errors.transmit is None and errors.receive is None):
+        return samples
+    transmit, receive = _channels(errors.transmit).T, _channels(errors.receive)
+    at = ["HV".index(name[0]) for name in polarizations], ["HV".index(name[1]) for name in polarizations]
+    share = receive[np.ix_(at[1], at[1])] * transmit[np.ix_(at[0], at[0])].T
+    found: NDArray[np.complex64] = np.tensordot(share.astype(np.complex64), samples, axes=1)
+    return found
+
+
+def _channels(channels: AntennaChannels | None) -> NDArray[np.complex128]:
+    """Rows are channels, columns waves, (2, 2), horizontal first."""
+    one = channels or AntennaChannels()
+    return np.array([[1.0, complex(*one.v_in_h)], [complex(*one.h_in_v), complex(*one.imbalance)]])
 
 
 def add_spectra(
@@ -169,6 +257,10 @@ def beam_of(plan: Plan, device: wp.Device) -> Any:
     beam: Any = kernels.Beam()
     beam.along, beam.up = upload(axes[0], wp.vec3d, device), upload(axes[1], wp.vec3d, device)
     beam.wide, beam.high = float(widths[0]), float(widths[1])
+    pattern = plan.pattern or AntennaPatternTable((0.0, 0.0), (0.0, 0.0), np.zeros((0, 0), np.complex64))
+    beam.pattern = upload(pattern.amplitude.view(np.float32).reshape(*pattern.amplitude.shape, 2), wp.vec2, device)
+    beam.start = wp.vec2(*pattern.start_deg)
+    beam.every = wp.vec2(*(1.0 / step if step else 0.0 for step in pattern.step_deg))
     return beam
 
 
@@ -201,39 +293,65 @@ class PartOnDevice:
         return cls(part.weight, fill(kernels.MovingScatterers, **places, amplitude=upload(values, wp.vec2, device)))
 
 
-def deposited(
-    plan: Plan, track: Any, parts: list[PartOnDevice], polarizations: int, some: slice, lanes: int
-) -> wp.array:
-    """Range bins of some pulses, (polarizations, pulses, bins), on the device; `track` is that of `track_of`."""
+def deposited(plan: Plan, track: Any, parts: list[PartOnDevice], polarizations: int, some: slice) -> wp.array:
+    """Range bins of some pulses on the device; `track` is that of `track_of`.
+
+    On CUDA complex numbers (polarizations, pulses, bins); on the CPU what `kernels/pulse_deposit.py` makes.
+    """
     device = track.time.device
-    bins = fft.next_fast_len(OVERSAMPLING * plan.frequencies)
-    pulses = np.arange(some.start, some.stop)
-    out = wp.zeros((polarizations, len(pulses), bins), dtype=wp.vec2, device=device)
-    middle = plan.frequencies // 2
+    bins, pulses = bins_of(plan), np.arange(some.start, some.stop)
     rows = upload(pulses.astype(np.int32), int, device)
+    if device.is_cpu:
+        shape = (2, polarizations, len(pulses), bins + pulse_deposit.SPARE)
+        out = wp.zeros(shape, dtype=float, device=device)
+        table = upload(_weights_table(), float, device)
+    else:
+        out = wp.zeros((polarizations, len(pulses), bins), dtype=wp.vec2, device=device)
     for part in parts:
         weight = part.weight[some]
         if not weight.any():
             continue
-        inputs = [
-            rows,
-            upload(weight, float, device),
-            track,
-            2.0 * (plan.start_hz + middle * plan.step_hz) / SPEED_OF_LIGHT,
-            2.0 * plan.step_hz * bins / SPEED_OF_LIGHT,
-            part.scatterers,
-            lanes,
-        ]
-        wp.launch(kernels.deposit_kernel, (len(pulses), lanes), inputs=inputs, outputs=[out], device=device)
+        inputs = [rows, upload(weight, float, device), track, *scales(plan)]
+        if device.is_cpu:
+            inputs += [bins, part.scatterers, table]
+            wp.launch(pulse_deposit.pulse_deposit_kernel, 1, inputs=inputs, outputs=[out], device=device)
+        else:
+            inputs += [part.scatterers, LANES]
+            wp.launch(kernels.deposit_kernel, (len(pulses), LANES), inputs=inputs, outputs=[out], device=device)
     return out
+
+
+def scales(plan: Plan) -> list[float]:
+    """Turns of phase of the middle frequency, and bins, for each metre of a mean way."""
+    middle = plan.start_hz + plan.frequencies // 2 * plan.step_hz
+    return [2.0 * middle / SPEED_OF_LIGHT, 2.0 * plan.step_hz * bins_of(plan) / SPEED_OF_LIGHT]
+
+
+def bins_of(plan: Plan) -> int:
+    """Range bins of a pulse: an even number."""
+    return OVERSAMPLING * fft.next_fast_len(plan.frequencies)
+
+
+@cache
+def _weights_table() -> NDArray[np.float32]:
+    return pulse_deposit.weights_table().ravel()
 
 
 def _block(plan: Plan, track: Any, parts: list[PartOnDevice], polarizations: int, some: slice) -> Any:
     """Spectra of some pulses, (polarizations, pulses, frequencies)."""
-    lanes = LANES["cpu" if track.time.device.is_cpu else "cuda"]
-    out = deposited(plan, track, parts, polarizations, some, lanes)
-    profiles = np.ascontiguousarray(out.numpy()).view(np.complex64)[..., 0]
-    return undeposited(fft.fft(profiles, axis=-1), plan.frequencies).astype(np.complex64)
+    found = np.ascontiguousarray(deposited(plan, track, parts, polarizations, some).numpy())
+    on_cpu = track.time.device.is_cpu  # where blocks have a thread each
+    profiles = _gone_round(found, bins_of(plan)) if on_cpu else found.view(np.complex64)[..., 0]
+    spectra = fft.fft(profiles, axis=-1, workers=1 if on_cpu else threads.thread_count(), overwrite_x=True)
+    return undeposited(spectra, plan.frequencies).astype(np.complex64)
+
+
+def _gone_round(rows: NDArray[np.float32], bins: int) -> NDArray[np.complex64]:
+    """The bins of the CPU's rows (2, ..., bins + SPARE), (..., bins)."""
+    rows[..., : pulse_deposit.SPARE] += rows[..., bins:]
+    found = np.empty((*rows.shape[1:-1], bins), np.complex64)
+    found.real, found.imag = np.roll(rows[..., :bins], -3, axis=-1)
+    return found
 
 
 def undeposited(spectrum: NDArray[np.complex64], count: int) -> NDArray[np.complex64]:

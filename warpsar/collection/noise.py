@@ -20,24 +20,25 @@ F64 = NDArray[np.float64]
 def with_noise(made: Collected, seed: int) -> Collected:
     """The phase history with noise whose mean power in the focused image is the plan's."""
     plan = made.plan
-    level = plan.noise_beta0
-    if level == 0.0:
+    levels = np.array([plan.noise_of(name) for name in made.polarizations])
+    if not levels.any():
         return made
     band = band_weights(plan.windows[0], plan.frequencies)
     # An image is the weighted mean of its samples over sqrt(response): noise falls as sum w^2 / (sum w)^2.
     mean = (band**2).sum() * (plan.azimuth_taper**2).sum() / (band.sum() * plan.azimuth_weights.sum()) ** 2
-    power = level * plan.response_m2 / mean
+    power = levels * plan.response_m2 / mean
     random = np.random.default_rng([seed, 1])
     shape = (*made.samples.shape, 2)
     drawn = random.standard_normal(shape, dtype=np.float32).view(np.complex64)[..., 0]
-    return replace(made, samples=made.samples + np.float32(np.sqrt(0.5 * power)) * drawn)
+    scale = np.sqrt(0.5 * power).astype(np.float32)
+    return replace(made, samples=made.samples + scale[:, None, None] * drawn)
 
 
 def with_image_noise(made: Slc, seed: int) -> Slc:
     """A direct image with the same noise: as wide in frequency as the tapers let through."""
     plan = made.plan
-    level = plan.noise_beta0
-    if level == 0.0:
+    levels = {name: plan.noise_of(name) for name in made.images}
+    if not any(levels.values()):
         return made
     random = np.random.default_rng([seed, 1])
     weights = [_weights(plan, axis, place) for axis, place in enumerate((made.range_m, made.azimuth_m))]
@@ -45,7 +46,7 @@ def with_image_noise(made: Slc, seed: int) -> Slc:
     for name, image in made.images.items():
         drawn = random.standard_normal((*image.shape, 2), dtype=np.float32).view(np.complex64)[..., 0]
         coloured = fft.ifft2(fft.fft2(drawn) * (weights[0][:, None] * weights[1]).astype(np.float32))
-        images[name] = image + np.float32(np.sqrt(0.5 * level)) * coloured
+        images[name] = image + np.float32(np.sqrt(0.5 * levels[name])) * coloured
     return replace(made, images=images)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import cast
 
 import numpy as np
 import warp as wp
@@ -12,9 +13,10 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from warpsar.coherent.left_out import refuse_left_out
-from warpsar.collection import track_file
+from warpsar.collection import antenna_file, track_file
+from warpsar.collection.antenna_file import AntennaPatternTable
 from warpsar.collection.presets import BANDS_HZ
-from warpsar.collection.response import asked, band_weights, width_in_cells
+from warpsar.collection.response import asked, band_weights
 from warpsar.effects.base.effect import DeclaredEffect
 from warpsar.effects.base.phase import Copy, Response
 from warpsar.effects.base.product import Product
@@ -24,11 +26,12 @@ from warpsar.formats.base.acquisition import Acquisition
 from warpsar.kernels.backproject import first_surface_kernel
 from warpsar.measured.ground import pixel_centres
 from warpsar.measured.placed import frame_of
-from warpsar.world.collection import Collection
+from warpsar.world.collection import Collection, CollectionErrors
 from warpsar.world.frame import SPEED_OF_LIGHT, ViewGeometry
+from warpsar.world.sensors import noise_beta0
 from warpsar.world.site import Site
-from warpsar.world.tables import View
-from warpsar.world.taper import taper
+from warpsar.world.tables import Polarization, View
+from warpsar.world.taper import taper, width_in_cells
 from warpsar.world.track import Track, along, circle, straight
 from warpsar.world.world import World, geometry_of, refuse_without_views
 
@@ -71,6 +74,15 @@ class Plan:
     """What was asked of the widths, and the tapers."""
     effects: tuple[DeclaredEffect, ...] = ()
     """That act in this view, in their order."""
+    track_error: Track | None = None
+    """The recorded track, where it is not the true one."""
+    pattern: AntennaPatternTable | None = None
+    """The antenna's two-way pattern, where it was measured."""
+
+    @property
+    def recorded(self) -> Track:
+        """The track as files and focusing know it."""
+        return self.track if self.track_error is None else self.track_error
 
     @property
     def middle(self) -> int:
@@ -109,7 +121,7 @@ class Plan:
     def acquisition(self) -> Acquisition:
         """What files of the standards say of it."""
         return Acquisition(
-            self.view.name, self.stripmap, self.site, self.track, self.start_hz, self.step_hz, self.frequencies
+            self.view.name, self.stripmap, self.site, self.recorded, self.start_hz, self.step_hz, self.frequencies
         )
 
     @property
@@ -118,10 +130,11 @@ class Plan:
         band, aperture = self.response.taper
         return str(band), "none" if self.stripmap else str(aperture)
 
-    @property
-    def noise_beta0(self) -> float:
+    def noise_of(self, polarization: str) -> float:
         """Mean beta0 of the receiver's noise in a focused image."""
-        return self.table.noise_beta0 + sum(one.effect.noise_beta0(one.values) for one in self.effects)
+        level = self.table.noise_beta0 + sum(one.effect.noise_beta0(one.values) for one in self.effects)
+        nesz_db = self.table.nesz_db.get(cast(Polarization, polarization))
+        return level if nesz_db is None else level + noise_beta0(nesz_db, self.view.incidence_deg)
 
     @cached_property
     def shift_m(self) -> F64:
@@ -185,6 +198,24 @@ class Plan:
         turned = [one for one in found if one is not None]
         return np.sum(turned, axis=0) if turned else None
 
+    def recorded_turn(self) -> NDArray[np.complex64] | None:
+        """What the system does to samples, (pulses, frequencies): effects' phases, and errors of `[collection]`; None
+        where nothing.
+
+        Echoes that come late by t are turned by -2 pi f t, and so by the way to the reference point that the recorded
+        track has too little. Oscillators that differ turn them by 2 pi in each of their periods.
+        """
+        errors = self.table.errors or CollectionErrors()
+        late = np.full(len(self.track), errors.timing_s)
+        late += 2.0 / SPEED_OF_LIGHT * (self.track.reference_m() - self.recorded.reference_m())
+        turns = errors.frequency_hz * (self.track.time_s - self.track.centre().time_s)
+        if self.phase_error is not None:
+            turns = turns + self.phase_error / (2.0 * np.pi)
+        if not (late.any() or turns.any()):
+            return None
+        whole = turns[:, None] - late[:, None] * (self.start_hz + self.step_hz * np.arange(self.frequencies))
+        return np.exp(2j * np.pi * (whole - np.round(whole))).astype(np.complex64)
+
     @property
     def smeared_cells(self) -> float:
         """Cells by which `phase_error` moves power at most: its slope over pi, along the aperture of -1 to 1."""
@@ -237,6 +268,11 @@ def beam(plan: Plan, points_m: F64, pulses: NDArray[np.int64]) -> F64:
     """Two-way amplitude of the antenna toward points (n, 3) [m], (pulses, n); 1 without an antenna."""
     axes, widths = boresight(plan)
     total = np.ones((len(pulses), len(points_m)))
+    if plan.pattern is not None:
+        to = points_m[None] - plan.track.receiver_m[pulses][:, None]
+        to /= np.linalg.norm(to, axis=2, keepdims=True)
+        aside = [np.rad2deg(np.arcsin(np.einsum("pnk,pk->pn", to, axis).clip(-1.0, 1.0))) for axis in axes[:, pulses]]
+        return np.abs(plan.pattern.at(*aside))
     if not widths.any():
         return total
     for place in (plan.track.receiver_m[pulses], plan.track.transmitter_m[pulses]):
@@ -262,7 +298,7 @@ def boresight(plan: Plan) -> tuple[F64, F64]:
         look = -plan.track.receiver_m / np.linalg.norm(plan.track.receiver_m, axis=1, keepdims=True)
     level = np.cross([0.0, 0.0, 1.0], look)
     level /= np.linalg.norm(level, axis=1, keepdims=True)
-    widths = [antenna.azimuth_deg, antenna.elevation_deg or 0.0]
+    widths = [antenna.azimuth_deg or 0.0, antenna.elevation_deg or 0.0]
     return np.stack([level, np.cross(level, look)]), np.sin(np.deg2rad(widths))
 
 
@@ -308,7 +344,10 @@ def plan_of(world: World, view: View, device: wp.Device) -> Plan:
     ends = np.stack([vertices.min(axis=0) - reach, vertices.max(axis=0) + reach])
     corners = np.stack(np.meshgrid(*ends.T, indexing="ij"), axis=-1).reshape(-1, 3)
     made = Plan(view, table, geometry, site, _dot(), low, high - low, 2, corners, response, effects)
+    made = _pointed(world, made)
     made = replace(made, track=_track(world, made, 0.5 * (low + high)))
+    made = _misrecorded(made)
+    _refuse_channels(world, table)
     _refuse_wide(world, made)
     _refuse_narrow(world, made)
     _refuse_ground(world, made, device)
@@ -391,6 +430,59 @@ def _track(world: World, plan: Plan, frequency: float) -> Track:
         trial = replace(plan, track=_sent(flown(1024), table))
         count = max(FEWEST, fft.next_fast_len(math.ceil(1024 * _turns(world, trial, frequency).max() / SPARE)))
     return _sent(flown(count), table)
+
+
+def _pointed(world: World, plan: Plan) -> Plan:
+    """The plan with the pattern of its antenna, where it was measured."""
+    antenna = plan.table.antenna
+    if antenna is None or antenna.pattern is None:
+        return plan
+    if plan.table.transmitter is not None:
+        raise InputError(
+            f"{world.name}: collection.antenna.pattern: found a two-way pattern beside a transmitter; must be "
+            "azimuth_deg there"
+        )
+    return replace(plan, pattern=antenna_file.read(antenna.pattern))
+
+
+def _misrecorded(plan: Plan) -> Plan:
+    """The plan with its recorded track, and a box of corners wider by what errors of the system shift."""
+    errors = plan.table.errors
+    if errors is None:
+        return plan
+    far = 0.5 * SPEED_OF_LIGHT * abs(errors.timing_s)
+    if errors.frequency_hz:
+        speed = float(np.linalg.norm(plan.track.velocity_m_s()[0][plan.middle]))
+        wavelength = SPEED_OF_LIGHT / plan.centre_hz
+        far += 0.5 * wavelength * plan.slant_range_m * abs(errors.frequency_hz) / max(speed, 1e-9)
+    if errors.track is not None:
+        aside = track_file.read_error(errors.track, plan.track.time_s)
+        far += float(np.linalg.norm(aside, axis=1).max())
+        track = plan.track
+        plan = replace(
+            plan,
+            track_error=replace(track, receiver_m=track.receiver_m + aside, transmitter_m=track.transmitter_m + aside),
+        )
+    middle = plan.corners_m.mean(axis=0)
+    return replace(plan, corners_m=plan.corners_m + far * np.sign(plan.corners_m - middle))
+
+
+def _refuse_channels(world: World, table: Collection) -> None:
+    """Raise InputError for channels whose waves the scene does not have."""
+    names = world.radar.polarizations
+    errors = table.errors or CollectionErrors()
+    for key in ("transmit", "receive"):
+        channels = getattr(errors, key)
+        if channels is not None and channels.crosstalk and set(names) != {"HH", "HV", "VH", "VV"}:
+            raise InputError(
+                f"{world.name}: collection.errors.{key}: found crosstalk beside radar.polarizations = {list(names)}; "
+                "must be all four, which mix"
+            )
+    if unknown := set(table.nesz_db) - set(names):
+        raise InputError(
+            f"{world.name}: collection.nesz_db: found {', '.join(sorted(unknown))}; must be of radar.polarizations = "
+            f"{list(names)}"
+        )
 
 
 def _sent(track: Track, table: Collection) -> Track:
@@ -507,7 +599,7 @@ def _turns(world: World, plan: Plan, frequency: float) -> F64:
 def _refuse_gaps(world: World, plan: Plan) -> None:
     """Raise InputError where pulses are too far apart for the scene."""
     turns = _turns(world, plan, plan.centre_hz + 0.5 * plan.bandwidth_hz)
-    if turns.max() >= 1.0:
+    if turns.max() >= 1.0 and not plan.table.azimuth_ambiguities:
         table, times = plan.table, turns.max() / SPARE
         found = f"{table.pulses}", "pulses", f"{math.ceil(len(plan.track) * times)} pulses"
         if table.pulses is None and table.prf_hz is not None:

@@ -111,7 +111,7 @@ def way_at_centre(plan: Plan, points_m: F64) -> F64:
         to = flat - slant * plan.geometry.s
         across = np.linalg.norm(to - (to @ plan.track.straight)[:, None] * plan.track.straight, axis=1)
         return np.asarray(across / np.cos(np.deg2rad(plan.table.squint_deg)) - slant).reshape(points_m.shape[:-1])
-    way = plan.track.centre().ranges_less_reference(flat, np.array([0]))[0]
+    way = plan.recorded.centre().ranges_less_reference(flat, np.array([0]))[0]
     return way.reshape(points_m.shape[:-1])
 
 

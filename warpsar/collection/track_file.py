@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from warpsar.errors import InputError
 from warpsar.formats import cphd
@@ -29,6 +30,19 @@ def read(path: Path, reference_m: NDArray[np.float64], frame: EarthFrame | None)
     if len(found) < 2 or (np.diff(found.time_s) <= 0.0).any():
         raise InputError(f"{path}: found {len(found)} pulses; must be two or more, at times that ascend")
     return found
+
+
+def read_error(path: Path, time_s: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The recorded track less the true one at times (p,) [s], (p, 3) [m]; a cubic spline between the file's."""
+    found = _csv(path, np.zeros(3))
+    if not np.isfinite(found.receiver_m).all() or len(found) < 4 or not (np.diff(found.time_s) > 0.0).all():
+        raise InputError(f"{path}: found {len(found)} places; must be four or more finite ones, at times that ascend")
+    low, high = found.time_s[[0, -1]]
+    if low > time_s[0] or high < time_s[-1]:
+        raise InputError(
+            f"{path}: found times of {low:g} to {high:g} s; must hold all pulses, {time_s[0]:g} to {time_s[-1]:g} s"
+        )
+    return np.asarray(CubicSpline(found.time_s, found.receiver_m)(time_s))
 
 
 def _is_cphd(path: Path) -> bool:

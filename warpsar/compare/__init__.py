@@ -10,6 +10,7 @@ profiles.py     whether the power of rows, or of columns, is off the model
 judgement.py    is anything left beside speckle?
 aim.py          where a view was aimed: the shift at which an image and its prediction agree best
 rivals.py       predictions that need no physics: other measured images
+laid.py         the mean of train images on the ground, beside test images
 prediction.py   how well views are predicted that no fit has seen, beside the rivals
 curve.py        one measured curve of RCS beside its model; what is left of curves
 evaluation.py   all images and curves of a scene, what they give together, and the judgement on each role's

@@ -15,7 +15,6 @@ from warpsar.compare.metrics import ImageMetrics, image_metrics
 from warpsar.compare.modelled import SURE_SDS, Modelled, modelled, sampled
 from warpsar.compare.observation import Observation, declared_looks, looks_of, observe, usable_pixels
 from warpsar.effects.registry import declared, get
-from warpsar.errors import InputError
 from warpsar.runtime import console
 from warpsar.runtime.distributed.processes import ONE, Ranks, join
 from warpsar.scene.scene import Scene
@@ -25,7 +24,7 @@ from warpsar.speckle.likelihood import best_gain, scaled_deviance
 from warpsar.surface.stage import Stage
 from warpsar.trace.rays import ray_count
 from warpsar.world.tables import View
-from warpsar.world.world import geometry_of
+from warpsar.world.world import geometry_of, lacks_images
 
 ALLOWED_PX = 0.1  # pixels by which outlines may lie off that nobody states the accuracy of
 LEVEL_SHARE = 0.05  # of the interior's median: power in pixels that are not lit as a whole is judged against so much
@@ -216,7 +215,7 @@ def compare(
     """
     views = [(index, view) for index, view in enumerate(scene.views) if view.images and view.role in roles]
     if not views:
-        raise InputError(f"{scene.name}: views: none with role {' or '.join(roles)} has measured images")
+        raise lacks_images(scene, *roles)
     stage, seed = Stage.of(scene, device), scene.seed(seed)
     # Image effects only lower the noise of what is lit, but spread light where next to none is left to measure it on.
     plain = replace(scene, effects={name: t for name, t in scene.effects.items() if get(name).stage != "image"})
@@ -248,7 +247,7 @@ def compare(
 def beside(scene: Scene, view: View, polarization: str, model: Modelled) -> Comparison:
     """The view's measured image of a polarization beside its model.
 
-    Raises InputError where no pixel is lit by the model, unmasked and positive at once.
+    Raises NothingLitError where no pixel is lit by the model, unmasked and positive at once.
     """
     seen = observe(scene, view, polarization, model.covered & (model.beta0 > 0))
     mu = model.beta0[seen.interior]

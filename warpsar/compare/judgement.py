@@ -196,7 +196,7 @@ def judge(images: Sequence[Comparison]) -> Judgement:
     sample, share = _sample(images)
     correlation, variance = own_autocovariance([_patch(image) for image in sample])
     shown = max(variance, 1.0)
-    profiles = Profiles(sample, shown * float(correlation.sum()), parts=share < 1.0)
+    profiles = Profiles(sample, shown * correlation, parts=share < 1.0)
     scan = Scan([_of_usable(image) for image in images], correlation, windows=SIZES)
     granted = 10.0 ** (WINDOW_DB / 10.0) - 1.0
     spot = scan.strongest(

@@ -11,7 +11,7 @@ import numpy as np
 import warp as wp
 from scipy.ndimage import distance_transform_edt, minimum_filter
 
-from warpsar.errors import InputError
+from warpsar.errors import InputError, NothingLitError
 from warpsar.kernels.loss import DARKEST, ObservedPixels
 from warpsar.runtime.structs import fill
 from warpsar.scene.scene import Scene
@@ -163,8 +163,8 @@ def usable_pixels(scene: Scene, view: View, measured: np.ndarray) -> np.ndarray:
 def observe(scene: Scene, view: View, polarization: str, lit: np.ndarray) -> Observation:
     """The measured image of a view with its masks; `lit`, (rows, cols) bool: what the declared model's surface covers.
 
-    Looks that are not declared are estimated from the image. Raises InputError where they cannot be, or where no
-    pixel is left.
+    Looks that are not declared are estimated from the image. Raises InputError where they cannot be, and
+    NothingLitError where no pixel is left.
     """
     measured = scene.measured(view, polarization)
     usable = usable_pixels(scene, view, measured)
@@ -172,7 +172,7 @@ def observe(scene: Scene, view: View, polarization: str, lit: np.ndarray) -> Obs
     positive = np.where(np.isfinite(measured), measured, 0) > 0
     interior = usable & inner & positive
     if not interior.any():
-        raise InputError(
+        raise NothingLitError(
             f"{scene.name}: views {view.name}: no pixel of {polarization} is lit by the model, unmasked and "
             f"positive at once; the image and the mesh do not meet, or sigma0 is 0 at the declared parameters"
         )

@@ -1,13 +1,14 @@
 """Whether the power of rows, or of columns, is off the model.
 
 A gain with a ripple, an antenna pattern or a smear changes every pixel of a row a little: no window by itself shows it.
-So the residual is summed over bands of rows, and of columns, and the squares of the sums are compared with those of
-draws of speckle.
+So the residual is summed over single rows, over bands of three, and over the two sides of every cut between rows; and
+likewise over columns. The sums are compared with those of draws of speckle. Single lines show lines that were lost,
+bands a ripple, and the sides of a cut two parts of an image that were calibrated apart.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,8 +17,8 @@ from scipy.special import chdtrc
 
 from warpsar.compare.comparison import Comparison
 
-BAND = 3  # rows, or columns, of a band
-FEWEST = 30  # pixels of a band that counts
+BANDS = (1, 3)  # rows, or columns, of a band
+FEWEST = 30  # pixels of a band, or of a side of a cut, that counts
 MOST = 700.0  # -ln p: beyond it exp is 0
 AXES = ("range", "azimuth")
 TOGETHER = "several images together"
@@ -26,8 +27,8 @@ TOGETHER = "several images together"
 @dataclass(frozen=True)
 class AxisProfile:
     """How far power is off along one axis of an `image`, or of several together: `rms_db`, the root mean square over
-    bands of `BAND` rows or columns, without what speckle makes of it [dB]. `surprise`: -ln of the chance of so much
-    beyond what is granted, if bands were independent."""
+    bands of rows or columns, or the step at a cut, without what speckle makes of it [dB]. `surprise`: -ln of the chance
+    of so much beyond what is granted, if bands were independent."""
 
     image: str
     axis: str
@@ -39,69 +40,109 @@ class AxisProfile:
         return f"power is off by {self.rms_db:.2g} dB (rms) along {self.axis} in {self.image}"
 
 
+@dataclass(frozen=True)
+class _Sums:
+    """Weighted sums of lines, that are asked together: `weights`, shape (sums, lines), and the `variance` that speckle
+    gives them, shape (sums,). `strongest`: whether the strongest sum counts, or the squares of all."""
+
+    weights: np.ndarray
+    variance: np.ndarray
+    strongest: bool
+
+    def surprise(self, squares: np.ndarray) -> np.ndarray:
+        """-ln of the chance of such squares over their variances, shape (sums, draws), by speckle; shape (draws,)."""
+        count = len(squares)
+        if self.strongest:
+            return np.maximum(_surprise(squares.max(axis=0), 1) - np.log(count), 0.0)
+        return _surprise(squares.sum(axis=0), count)
+
+
 class Profiles:
-    """Sums over bands of the residuals of several images, given on their usable pixels. Pixels at edges do not count:
-    the model may be wrong there by what outlines lie off. `inflation`: the residual's autocovariance, summed over lags.
+    """Sums over lines of the residuals of several images, given on their usable pixels. Pixels at edges do not count:
+    the model may be wrong there by what outlines lie off. `autocovariance`: the residual's, shape (lags, lags), odd.
     Images of one polarization are summed over views, too, unless they are `parts` of larger ones: two polarizations of
     a view may share their speckle."""
 
-    def __init__(self, images: Sequence[Comparison], inflation: float, *, parts: bool = False) -> None:
-        self.images, self.inflation = images, max(inflation, 1e-3)
-        self._bands = [[_bands(image, axis) for axis in (0, 1)] for image in images]
+    def __init__(self, images: Sequence[Comparison], autocovariance: np.ndarray, *, parts: bool = False) -> None:
+        self.images = images
+        self._lines = [[_lines(image, axis) for axis in (0, 1)] for image in images]
         alike: dict[tuple[object, ...], list[int]] = {}
         for k, image in enumerate(images):
             alike.setdefault((image.start_m, image.simulated.shape, image.polarization), []).append(k)
         together = [] if parts else [group for group in alike.values() if len(group) > 1]
-        self._groups = [[k] for k in range(len(images))] + together
         # of residuals of unit variance: relative power, times the root of the looks
         self._relative = [
             np.where(image.even, image.simulated / image.sd, 0.0)[image.usable].astype(float) for image in images
         ]
+        self._asked = []
+        for group in [*([k] for k in range(len(images))), *together]:
+            for axis in (0, 1):
+                counts = np.sum([self._lines[k][axis].sum(axis=1) for k in group], axis=0)
+                self._asked.append((group, axis, _sums_of(counts, autocovariance.sum(axis=1 - axis))))
 
     def largest(self, residuals: Sequence[np.ndarray]) -> np.ndarray:
         """The largest surprise of each draw, shape (draws,); `residuals`: (pixels, draws) of each image."""
         found = np.zeros(residuals[0].shape[1])
-        for group in self._groups:
-            for axis in (0, 1):
-                sums, counts = self._summed(group, axis, residuals)
-                squares = (sums**2 / (np.maximum(counts, 1.0) * self.inflation)[:, None])[counts >= FEWEST]
-                if len(squares):
-                    found = np.maximum(found, _surprise(squares.sum(axis=0), len(squares)))
+        for _, sums, lines in self._each(residuals):
+            found = np.maximum(found, sums.surprise((sums.weights @ lines) ** 2 / sums.variance[:, None]))
         return found
 
     def strongest(self, residuals: Sequence[np.ndarray], granted: float) -> AxisProfile:
         """The most surprising profile of one residual, an array (pixels,) of each image. `granted`: relative power that
-        every band may be off by."""
-        parts, free = [one[:, None] for one in residuals], [granted * one[:, None] for one in self._relative]
+        every line may be off by."""
+        both = [np.column_stack([one, granted * free]) for one, free in zip(residuals, self._relative, strict=True)]
         best = AxisProfile(self.images[0].name, AXES[0], 0.0, 0.0)
-        for group in self._groups:
-            for axis in (0, 1):
-                (sums, counts), (allowed, _) = (self._summed(group, axis, each) for each in (parts, free))
-                use = counts >= FEWEST
-                off, allowed, speckle = np.abs(sums[use, 0]), allowed[use, 0], counts[use] * self.inflation
-                beyond = np.maximum(off - allowed, 0.0) ** 2 / np.maximum(speckle, 1e-30)
-                surprise = float(_surprise(beyond.sum(), int(use.sum()))) if use.any() else 0.0
-                if surprise > best.surprise:
-                    share = (off**2 - speckle).sum() / max(float((allowed**2).sum()), 1e-30)
-                    rms = granted * float(np.sqrt(max(share, 0.0)))
-                    name = TOGETHER if len(group) > 1 else self.images[group[0]].name
-                    best = AxisProfile(name, AXES[axis], 10.0 * float(np.log10(1.0 + rms)), surprise)
+        for (group, axis), sums, lines in self._each(both):
+            off, allowed = np.abs(sums.weights @ lines[:, 0]), np.abs(sums.weights) @ lines[:, 1]
+            beyond = np.maximum(off - allowed, 0.0) ** 2 / sums.variance
+            surprise = float(sums.surprise(beyond[:, None])[0])
+            if surprise > best.surprise:
+                counted = slice(None) if not sums.strongest else [int(np.argmax(beyond))]
+                square = (off**2 - sums.variance)[counted].sum() / max(float((allowed[counted] ** 2).sum()), 1e-30)
+                rms = granted * (2.0 if sums.strongest else 1.0) * float(np.sqrt(max(square, 0.0)))
+                name = TOGETHER if len(group) > 1 else self.images[group[0]].name
+                best = AxisProfile(name, AXES[axis], 10.0 * float(np.log10(1.0 + rms)), surprise)
         return best
 
-    def _summed(self, group: Sequence[int], axis: int, parts: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-        """Sums, shape (bands, draws), and numbers of pixels, shape (bands,), of some images together."""
-        sums = sum(self._bands[k][axis] @ parts[k] for k in group)
-        counts = sum(self._bands[k][axis].sum(axis=1) for k in group)
-        return np.asarray(sums), np.asarray(counts, float)
+    def _each(self, parts: Sequence[np.ndarray]) -> Iterator[tuple[tuple[list[int], int], _Sums, np.ndarray]]:
+        """What is asked of which images along which axis, and the sums of their lines, shape (lines, draws)."""
+        for group, axis, asked in self._asked:
+            lines = sum(self._lines[k][axis] @ parts[k] for k in group) if asked else np.zeros(0)
+            for sums in asked:
+                yield (group, axis), sums, np.asarray(lines)
 
 
-def _bands(image: Comparison, axis: int) -> csr_array:
-    """1 where a usable pixel, column, is even and lies in a band, row."""
-    at = np.nonzero(image.usable)[axis] // BAND
+def _lines(image: Comparison, axis: int) -> csr_array:
+    """1 where a usable pixel, column, is even and lies in a line, row."""
+    at = np.nonzero(image.usable)[axis]
     even = image.even[image.usable]
     pixels = np.flatnonzero(even)
-    shape = (-(-image.simulated.shape[axis] // BAND), even.size)
+    shape = (image.simulated.shape[axis], even.size)
     return csr_array((np.ones(pixels.size, np.float32), (at[pixels], pixels)), shape=shape)
+
+
+def _sums_of(counts: np.ndarray, lags: np.ndarray) -> list[_Sums]:
+    """What is asked of lines with so many pixels: bands of each width, and the sides of every cut. `lags`: the
+    residual's autocovariance across lines, summed along them."""
+    lines = np.arange(counts.size)
+    away = np.abs(np.arange(lags.size) - lags.size // 2)
+    found = []
+    for width in BANDS:
+        bands = (lines // width == np.arange(-(-lines.size // width))[:, None]).astype(float)
+        pixels = bands @ counts
+        inflation = max(float(lags @ np.maximum(1.0 - away / width, 0.0)), 1e-3)
+        use = pixels >= FEWEST
+        found.append(_Sums(bands[use], pixels[use] * inflation, strongest=False))
+    below = np.cumsum(counts)[:-1]
+    above = counts.sum() - below
+    use = np.minimum(below, above) >= FEWEST
+    below, above = below[use], above[use]
+    whole = (below + above)[:, None]
+    first = lines < lines[1:][use][:, None]
+    sides = np.where(first, above[:, None] / whole, -below[:, None] / whole) * (counts > 0)
+    inflation = max(float(lags.sum()), 1e-3)
+    found.append(_Sums(sides, inflation * below * above / whole[:, 0], strongest=True))
+    return [one for one in found if len(one.variance)]
 
 
 def _surprise(squares: np.ndarray, bands: int) -> np.ndarray:

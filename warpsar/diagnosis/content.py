@@ -182,6 +182,7 @@ def _moved(m: ParameterMove) -> dict[str, Any]:
         "after": m.after,
         "after_sd_log": m.after_sd,
         "after_interval_95": list(m.after_95),
+        "after_interval_from": m.after_from,
         "moved_sds": m.sds,
     }
 

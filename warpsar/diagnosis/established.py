@@ -14,6 +14,7 @@ from warpsar.diagnosis.found import Diagnosis
 from warpsar.diagnosis.models.change import ABSENT, MISSING, is_geometry
 from warpsar.diagnosis.models.names import kind_of
 from warpsar.diagnosis.models.sensor import is_sensor
+from warpsar.effects.registry import get
 
 PLACED = {ABSENT, MISSING}  # bodies that are there or are not: no remainder elsewhere puts them in doubt
 
@@ -21,9 +22,9 @@ PLACED = {ABSENT, MISSING}  # bodies that are there or are not: no remainder els
 def not_established(found: Diagnosis, verdicts: Mapping[str, Judgement]) -> dict[str, str]:
     """Names of the final model that are not earned, with their objects, and why, in words.
 
-    What the time left on trial is none. Beside edges that do not agree, nothing that moves edges is, nor an effect
-    whose own test does not confirm it. Beside structure, such effects and angles and spacings of the sensor are not:
-    a body lies at one place, and what is left may lie at another.
+    What the time left on trial is none. Beside edges that do not agree, nothing that moves edges is, be it a body, an
+    angle or a shift of images, nor an effect whose own test does not confirm it. Beside structure, such effects and
+    angles and spacings of the sensor are not: a body lies at one place, and what is left may lie at another.
     """
     left = {one for verdict in verdicts.values() for one in verdict.findings}
     why = {}
@@ -35,6 +36,8 @@ def not_established(found: Diagnosis, verdicts: Mapping[str, Judgement]) -> dict
                 why[name] = "edges do not agree with it"
             elif "structure" in left and is_sensor(name):
                 why[name] = "structure is left with it"
+        elif "edges" in left and get(name).stage == "position":
+            why[name] = "edges do not agree with it"
         elif {"edges", "structure"} & left and not found.signed(name):
             why[name] = "what is left may be what it stands in for, and its own test does not confirm it"
     return why

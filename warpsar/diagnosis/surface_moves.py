@@ -19,8 +19,8 @@ SAME_SD = 2.0  # a parameter that moved by more of its standard deviations than 
 class ParameterMove:
     """A surface parameter before and after the effects were added: values (SI), and standard deviations of their
     learned coordinates (ln, or logit for specular_fraction); `after_95`: the interval of the last value (SI), None
-    where it is open;
-    `sds`: the move over the root of both variances' sum."""
+    where it is open; `after_from`: where it comes from (`Identified.interval_from`); `sds`: the move over the root of
+    both variances' sum."""
 
     material: str
     key: str
@@ -29,6 +29,7 @@ class ParameterMove:
     before_sd: float
     after_sd: float
     after_95: tuple[float | None, float | None]
+    after_from: str
     move: float
 
     @property
@@ -54,8 +55,8 @@ def moved_parameters(found: Diagnosis) -> tuple[list[ParameterMove], Identified]
                 a, b = float(first.x[at]), float(last.x[x_end])
                 one, two = (float(block.kind.from_coordinate(x)) for x in (a, b))
                 sds = float(before.sd[place]), float(after.sd[place_end])
-                stated = block.kind.interval(after.interval_95(place_end, b))
-                moves.append(ParameterMove(block.material, block.kind.key, one, two, *sds, stated, b - a))
+                stated, source = block.kind.interval(after.interval_95(place_end, b)), after.interval_from(place_end)
+                moves.append(ParameterMove(block.material, block.kind.key, one, two, *sds, stated, source, b - a))
             at, place = at + 1, place + 1
     return moves, after
 

@@ -116,11 +116,14 @@ class Multibounce(Effect):
         """Paths by number of bounces, traced once for all renders of the hits, with the fields on them."""
         settings = render.settings[self.name]
         cell_m = render.resolution_m if settings["reflection"] == "roughness" else None
-        key = (self.name, settings["max_bounces"], cell_m, render.taper)
-        if key not in render.hits.derived:
-            render.hits.derived[key] = trace_paths(render, settings["max_bounces"], cell_m)
+        most, derived = settings["max_bounces"], render.hits.derived
+        key = (self.name, most, cell_m, render.taper)
+        if key not in derived:
+            # the same rays may have been sent for the other reading of a reflection
+            of_cells = [traced for other, traced in list(derived.items()) if other[:2] == key[:2] and cell_m is None]
+            derived[key] = of_cells[0].without_cells() if of_cells else trace_paths(render, most, cell_m)
         if cell_m is not None:
-            render.remarks.extend(render.hits.derived[key].remarks)
+            render.remarks.extend(derived[key].remarks)
             if cell_m == render.spacing_m:
                 size = " x ".join(f"{side:g}" for side in cell_m)
                 render.remarks.append(
@@ -129,7 +132,7 @@ class Multibounce(Effect):
                 )
         return [
             one and (one, Fields(render, one.paths), Fields(render, one.coherent.paths) if one.coherent else None)
-            for one in render.hits.derived[key].of
+            for one in derived[key].of
         ]
 
 

@@ -18,6 +18,7 @@ from warpsar.compare.comparison import Comparison
 from warpsar.compare.contract import Verdict
 from warpsar.compare.curve import errors_in_short
 from warpsar.compare.evaluation import Evaluation, curves_content, evaluated
+from warpsar.compare.laid import beside_means
 from warpsar.compare.prediction import (
     PredictedImage,
     advantage,
@@ -170,6 +171,10 @@ def run(
         _say_verdicts(found.verdicts, scene_path)
         for image in found.images:
             _say_what_was_fitted(image, scene.grid.calibrated)
+        models = {"model": found.images} | ({} if earlier is None else {"before": earlier.images})
+        laid = [] if told else beside_means(scene, models)
+        for one in laid:
+            console.say(one.words)
         write_learned_ply(out / "learned.ply", scene)
         by_factor, expected = profiles(found.images, scene.mesh.materials), expected_db(found.images)
         content = {
@@ -184,11 +189,22 @@ def run(
             "expected_residual_db": expected,
             **({} if earlier is None else {"before": {"train": earlier.train, "test": earlier.test}}),
             **({"prediction": _prediction_content(told)} if told else {}),
+            **({"beside_means": [asdict(one) for one in laid]} if laid else {}),
             **(curves_content(scene, found) if found.curves else {}),
         }
         content = write_json(out / "evaluate.json", scene, where, seed, started, content)
         write_report(
-            out / "report.html", scene, found, by_factor, expected, content, command, where, before=earlier, told=told
+            out / "report.html",
+            scene,
+            found,
+            by_factor,
+            expected,
+            content,
+            command,
+            where,
+            before=earlier,
+            told=told,
+            laid=laid,
         )
         console.say_written(out, "report.html", "evaluate.json", "learned.ply", "residual images")
         pooled = [(role, found_in) for role, found_in in (("train", found.train), ("test", found.test)) if found_in]

@@ -9,12 +9,13 @@ from typing import Any
 import warp as wp
 
 from warpsar.compare.evaluation import Evaluation
+from warpsar.compare.laid import BesideMean
 from warpsar.compare.prediction import PredictedImage
 from warpsar.evaluation.report_convergence import convergence_sections
 from warpsar.evaluation.report_curves import curves_section
-from warpsar.evaluation.report_images import images_section
-from warpsar.evaluation.report_numbers import summary_section
-from warpsar.evaluation.report_prediction import prediction_section
+from warpsar.evaluation.report_images import first_pictures, images_section
+from warpsar.evaluation.report_numbers import summary_section, verdict_sentence
+from warpsar.evaluation.report_prediction import means_section, prediction_section
 from warpsar.evaluation.report_surface import identified_words, parameters_section
 from warpsar.evaluation.report_tables import tables_section
 from warpsar.evaluation.residuals import FactorProfile, profile_figure
@@ -35,22 +36,27 @@ def write_report(
     *,
     before: Evaluation | None = None,
     told: Sequence[PredictedImage] = (),
+    laid: Sequence[BesideMean] = (),
     title: str = "",
     beside: str = "evaluate.json (all numbers), residual images as EXR and PNG, learned.ply",
 ) -> None:
     """`by_factor` and `expected` are `profiles` and `expected_db` of the images. `content` is that of evaluate.json or
     learn.json, `command` the words that made it. `before` is another model of the same images. `told`: test views
-    beside predictions of them. `beside` names the other files."""
+    beside predictions of them, and `laid`, beside the mean of train views on the ground. `title` takes the place of
+    the verdict, which follows it then. `beside` names the other files."""
     stage = Stage.of(scene, device)
     identified, words = identified_words(scene, stage, found.rays_per_m2)
-    title = title or f"How well {Path(scene.path or 'the scene').name} explains its measured images"
+    verdict = verdict_sentence(Path(scene.path or "the scene").name, found)
     lead = (
         f"{' '.join(command[:2])} {content['version']}; {len(found.images)} images of {scene.grid.shape[0]} x "
         f"{scene.grid.shape[1]} pixels, {content['rays_per_pixel']:.3g} rays per pixel, on {content['device']}"
     )
     sections = [
+        *([report.paragraph(verdict)] if title else []),
+        first_pictures(scene, found, before),
         summary_section(scene, found, before),
         *([prediction_section(told)] if told else []),
+        *([means_section(laid)] if laid else []),
         images_section(scene, stage, found, before),
         *([curves_section(found.curves, found.curve_verdicts)] if found.curves else []),
         _residuals_section(by_factor, expected),
@@ -64,7 +70,7 @@ def write_report(
             f"Beside this file: {beside}.",
         ),
     ]
-    report.write(path, report.page(title, lead, *sections))
+    report.write(path, report.page(title or verdict, lead, *sections))
 
 
 def _residuals_section(by_factor: dict[str, FactorProfile], expected: dict[str, float]) -> str:

@@ -10,6 +10,8 @@ from warpsar.compare.comparison import Comparison, ratio_db
 from warpsar.compare.evaluation import Evaluation
 from warpsar.evaluation.report_numbers import METRICS, metric_cells
 from warpsar.evaluation.report_parts import (
+    SMOOTHED,
+    averaged_ratio_db,
     beta0_rgb,
     image_axes,
     plus_minus,
@@ -50,6 +52,33 @@ def reduced(power: np.ndarray, mask: np.ndarray, factor: int) -> np.ndarray:
 
     with np.errstate(invalid="ignore"):
         return np.asarray(blocks(np.where(mask, power, 0.0)) / blocks(mask.astype(float)))
+
+
+def first_pictures(scene: Scene, found: Evaluation, before: Evaluation | None) -> str:
+    """The residual of the test image that is explained worst, or of a train image without any, beside what was
+    measured. With `before`, the residual of that model stands first."""
+    number = max(
+        range(len(found.images)),
+        key=lambda k: (found.images[k].role == "test", np.nan_to_num(found.images[k].metrics["deviance"])),
+    )
+    image = found.images[number]
+    shown = (
+        {"residual": image} if before is None else {"residual before": before.images[number], "residual after": image}
+    )
+    residuals = {name: averaged_ratio_db(one) for name, one in shown.items()}
+    reach = reach_db([one[np.isfinite(one)] for one in residuals.values()], 99.0)
+    greys, key = beta0_rgb([image.measured])
+    coloured = {name: residual_rgb(one, reach) for name, one in residuals.items()} | {"measured": greys[0]}
+    pictures = [html_image.image(report.png(rgb), name, *image_axes(scene)) for name, rgb in coloured.items()]
+    said = (
+        f"{image.name}, a {image.role} image. Residual: measured over simulated power, averaged over {SMOOTHED} x "
+        f"{SMOOTHED} pixels."
+    )
+    return (
+        report.row(*pictures, across=3)
+        + report.row(residual_scale(reach, "measured / simulated"), key, across=3)
+        + report.paragraph(said, quiet=True)
+    )
 
 
 def images_section(scene: Scene, stage: Stage, found: Evaluation, before: Evaluation | None) -> str:

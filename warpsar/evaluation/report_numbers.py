@@ -20,6 +20,23 @@ METRICS = (
     "left out",
 )
 
+_LEFT = {
+    "speckle": "explains {its}: nothing but speckle is left.",
+    "structure": "does not explain {its}: structure is left.",
+    "edges": "does not explain {its}: edges do not agree.",
+    "looks": "does not explain {its}: their looks are not the declared ones.",
+    "texture": "does not explain {its}: they have texture.",
+    "distribution": "does not explain {its}: their values scatter unlike speckle.",
+    "level": "does not explain {its}: their level is another.",
+    "cannot be told": "and {its}: too few pixels to tell whether they agree.",
+}
+
+
+def verdict_sentence(name: str, found: Evaluation) -> str:
+    """In one sentence whether the scene called `name` explains its test images, or its train images without any."""
+    role = "test" if "test" in found.verdicts else "train"
+    return f"{name} {_LEFT[found.verdicts[role].finding].format(its=f'its {role} images')}"
+
 
 def _pm(m: ImageMetrics | PooledMetrics) -> str:
     return plus_minus(m["deviance"], m["deviance_error"])

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.ndimage import convolve
 
+from warpsar.compare.comparison import Comparison
 from warpsar.evaluation.meshview import MeshView, look
 from warpsar.io import html as report
 from warpsar.io.grey_scale import GreyScale, in_decibel, tinted
@@ -13,6 +15,7 @@ from warpsar.io.html_image import ImageAxis
 from warpsar.scene.scene import Scene
 from warpsar.surface.stage import Stage
 
+SMOOTHED = 3  # pixels on a side over which powers are averaged, so that speckle hides less
 RESIDUAL_COLOURS = "RdBu_r"  # red: the measured image is brighter
 AZIMUTHS_DEG = (205.0, 25.0)  # of the two looks at the mesh: askew to the compass
 _NAMES = {
@@ -51,6 +54,23 @@ def reach_db(residuals: Sequence[np.ndarray], percent: float) -> float:
     """End of a residual's colour scale [dB]: `percent` of the compared pixels are inside, whole dB, 3 to 30."""
     residual = np.concatenate([np.abs(one) for one in residuals])
     return float(np.clip(np.ceil(np.percentile(residual, percent)), 3.0, 30.0))
+
+
+def averaged_ratio_db(image: Comparison, dark: bool = False) -> np.ndarray:
+    """Measured over modelled power [dB], each averaged over `SMOOTHED` pixels on a side, shape (rows, cols).
+
+    Infinite where one of them has no power; NaN where both have none, or nothing is compared: off the lit surface by
+    more than a few pixels, unless `dark`.
+    """
+    mask = image.usable if dark else image.usable & ~image.seen.dark
+    box = np.ones((SMOOTHED, SMOOTHED))
+    measured, modelled = (
+        convolve(np.where(mask, np.maximum(np.nan_to_num(one), 0.0), 0.0).astype(float), box, mode="constant")
+        for one in (image.measured, image.simulated)
+    )
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = 10.0 * np.log10(measured / modelled)
+    return np.where(mask, ratio, np.nan)
 
 
 def residual_rgb(residual_db: np.ndarray, reach: float) -> np.ndarray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from warpsar.compare.laid import TILE, BesideMean
 from warpsar.compare.prediction import PredictedImage, Summary, advantage, summaries
 from warpsar.io import html as report
 
@@ -14,6 +15,7 @@ NAMES = {
     "nearest": "nearest measured view, turned",
     "mirrored": "nearest mirrored view, turned",
     "mean": "mean of the measured views",
+    "mean_3x3": "the same, over 3 x 3 pixels",
 }
 
 
@@ -47,3 +49,26 @@ def prediction_section(images: Sequence[PredictedImage]) -> str:
     return report.section(
         "Prediction of views not seen", *map(report.paragraph, said), prediction_table(summaries(images))
     )
+
+
+def means_section(images: Sequence[BesideMean]) -> str:
+    """Test views beside train views of nearly the same azimuth."""
+    names = list(images[0].deviances)
+    rows = [
+        [
+            one.view,
+            one.polarization,
+            one.pixels,
+            *(f"{one.deviances[name]:.3f}" for name in names),
+            f"{one.ahead:+.3f} ± {one.error:.3f}",
+        ]
+        for one in images
+    ]
+    said = (
+        "Mean deviance over that of speckle, on the pixels that all predictions have, in shadow too; each has the gain "
+        "that fits best. The measured views are the train views within 5 degrees of azimuth, as they lie on the plane "
+        f"through the reference point. The lead is that over the better mean, its error comes from tiles of {TILE} "
+        "pixels."
+    )
+    head = ("view", "polarization", "pixels", *(NAMES[name] for name in names), "lead")
+    return report.section("Test views beside measured ones", report.paragraph(said), report.table(head, rows))

@@ -104,7 +104,7 @@ def parameters_section(scene: Scene, stage: Stage, identified: Identified | None
                 continue
             text = _number(float(values.ravel()[0]))
             place = at.get(f"{name}.{kind.key}")
-            if identified is not None and place is not None and identified.sd[place] < 3.0:
+            if identified is not None and place is not None and identified.tells(place):
                 ends = kind.interval(identified.interval_95(place, float(surface.nodes[block.start])))
                 text += f" {shown_interval(ends, factor)}"
             elif place is not None:

@@ -37,8 +37,8 @@ def _regular(path: Path) -> None:
         raise InputError(f"{path}: cannot be read (a directory, pipe or device); must be a file")
 
 
-def detect(path: Path) -> str:
-    """The name of a file's format; raises InputError for a file that has none of them."""
+def detect(path: Path, allowed: Sequence[str] | None = None) -> str:
+    """The name of a file's format; raises InputError, which lists those `allowed`, for a file that has none of them."""
     _regular(path)
     try:
         with path.open("rb") as file:
@@ -50,7 +50,7 @@ def detect(path: Path) -> str:
             return one.name
     raise InputError(
         f"{path}: neither its first bytes nor its suffix name a known format; "
-        f"choose one with --format: {', '.join(names())}"
+        f"choose one with --format: {', '.join(allowed or names())}"
     )
 
 
@@ -96,6 +96,10 @@ def read(
     return found[0] if one.join is None else one.join(found)
 
 
+def _with_products() -> list[str]:
+    return [name for name in names() if get(name).products is not None]
+
+
 def products(source: str | Path, *, file_format: str = "auto", polarization: str | None = None) -> tuple[Product, ...]:
     """The images of the earth with an orbit that a file holds, or a folder such as a SAFE one.
 
@@ -103,14 +107,20 @@ def products(source: str | Path, *, file_format: str = "auto", polarization: str
     """
     path = Path(source)
     name = file_format
-    if file_format == "auto":
-        name = "sentinel1" if (path / "annotation").is_dir() else detect(path)
+    if file_format == "auto" and (path / "annotation").is_dir():
+        name = "sentinel1"
+    elif file_format == "auto" and path.is_dir():
+        raise InputError(
+            f"{path}: found a folder without annotation/; must be a SAFE folder, or a file of one of "
+            f"{', '.join(_with_products())}"
+        )
+    elif file_format == "auto":
+        name = detect(path, _with_products())
     if name not in names():
         raise InputError(f"format {name!r}: not known; use one of auto, {', '.join(names())}")
     one = get(name)
     if one.products is None:
-        able = ", ".join(each for each in names() if get(each).products is not None)
-        raise InputError(f"{path}: found {one.title}, {one.no_products}; must be one of {able}")
+        raise InputError(f"{path}: found {one.title}, {one.no_products}; must be one of {', '.join(_with_products())}")
     if one.extra is not None:
         one.extra.require(f"{path}: {one.title}")
     return one.products(path, polarization)

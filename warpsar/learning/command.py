@@ -206,6 +206,7 @@ def _material_summary(found: Learned) -> dict[str, dict[str, Any]]:
                 sd = float(found.identified.sd[at])
                 ends = found.identified.interval_95(at, float(nodes[block.start]))
                 entry["interval_95"] = list(block.kind.interval(ends))
+                entry["interval_from"] = found.identified.interval_from(at)
                 entry["interval_holds"] = not found.doubts
                 entry["sd_log"] = sd
             at += block.size

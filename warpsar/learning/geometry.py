@@ -135,6 +135,15 @@ class Geometry:
             values[c.parameter][() if c.index is None else c.index] = c.value(float(coordinate))
         return at(self.scene, values)
 
+    def stepped(self, scene: Scene, p: np.ndarray, step: np.ndarray) -> Scene:
+        """`scene`, which has p in place, with p + `step`; the step moves bodies alone. Only those are made anew."""
+        moved = {self.coordinates[k].parameter for k in np.flatnonzero(step)}
+        values = {parameter: parameter.value.copy() for parameter in moved}
+        for c, coordinate in zip(self.coordinates, p + step, strict=True):
+            if c.parameter in moved:
+                values[c.parameter][() if c.index is None else c.index] = c.value(float(coordinate))
+        return at(scene, values)
+
 
 def still(scene: Scene) -> Scene:
     """The scene with nothing of its geometry to learn."""

@@ -34,7 +34,8 @@ class Identified:
     F^-1 S F^-1; S, `products`, comes from the residuals' own autocovariance, so correlated speckle counts. The variance
     of an element is infinite where it has a part in a direction that the data do not see. `eigenvalues` of the
     information ascend; `eigenvectors` are in columns. `words` are sentences for people. `ends`, shape (p, 2),
-    are 95 % intervals by the profile of the likelihood (`learning.profiles`), where these were asked for.
+    are 95 % intervals by the profile of the likelihood (`learning.profiles`), where these were asked for; `by_profile`,
+    (p,), says which of them are, and which are 1.96 standard deviations to either side.
     """
 
     labels: list[str]
@@ -45,6 +46,7 @@ class Identified:
     eigenvectors: np.ndarray
     words: list[str] = field(default_factory=list)
     ends: np.ndarray | None = None
+    by_profile: np.ndarray | None = None
 
     @property
     def sd(self) -> np.ndarray:
@@ -54,11 +56,22 @@ class Identified:
     def interval_95(self, at: int, value: float) -> np.ndarray:
         """Both ends, shape (2,), of element `at` of x about its `value`, in its coordinate; infinite where it is open.
 
-        By the profile of the likelihood where that is known (`ends`), else value +- 1.96 standard deviations.
+        By the profile of the likelihood where that is known (`ends`; both are infinite where every value fits, and one
+        is a bound of the fit where nothing on that side is refused), else value +- 1.96 standard deviations.
         """
         if self.ends is not None:
             return np.asarray(self.ends[at])
         return value + np.array([-Z_95, Z_95]) * self.sd[at]
+
+    def tells(self, at: int) -> bool:
+        """Whether the interval of an element is worth printing."""
+        if self.ends is not None:
+            return bool(np.isfinite(self.ends[at]).any())
+        return bool(self.sd[at] < 3.0)
+
+    def interval_from(self, at: int) -> str:
+        """Where `interval_95` comes from."""
+        return "profile" if self.by_profile is not None and self.by_profile[at] else "standard deviation"
 
     @property
     def undetermined(self) -> list[str]:
@@ -127,18 +140,26 @@ def of_information(
     zero. The data see nothing there, and rounding alone would decide whether that counts as undetermined.
     """
     values, vectors = np.linalg.eigh(information)
-    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
-    held = np.zeros((0, len(labels))) if known is None else known
-    stated = sum((np.outer(row, row) * (row**2 @ np.diag(information)) for row in held), np.zeros_like(information))
-    unit_values, unit_vectors = np.linalg.eigh((information + stated) / np.outer(scale, scale))
-    seen = unit_values > RANK_TOLERANCE * unit_values.max(initial=0.0)
-    inverse = (unit_vectors[:, seen] / unit_values[seen]) @ unit_vectors[:, seen].T / np.outer(scale, scale)
+    inverse, unseen = pseudo_inverse(information, known)
     covariance = inverse @ products @ inverse
-    unseen = unit_vectors[:, ~seen].T / scale
-    unseen /= np.linalg.norm(unseen, axis=1, keepdims=True)
     reported = covariance.copy()
     np.fill_diagonal(reported, [_sd(row, covariance, unseen) ** 2 for row in np.eye(len(labels))])
     return Identified(labels, information, reported, products, values, vectors, describe(labels, covariance, unseen))
+
+
+def pseudo_inverse(information: np.ndarray, known: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """The inverse of an information (p, p) in the directions that the data see, and unit vectors of the others (n, p).
+
+    `known` as in `of_information`.
+    """
+    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    held = np.zeros((0, len(scale))) if known is None else known
+    stated = sum((np.outer(row, row) * (row**2 @ np.diag(information)) for row in held), np.zeros_like(information))
+    values, vectors = np.linalg.eigh((information + stated) / np.outer(scale, scale))
+    seen = values > RANK_TOLERANCE * values.max(initial=0.0)
+    inverse = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T / np.outer(scale, scale)
+    unseen = vectors[:, ~seen].T / scale
+    return inverse, unseen / np.linalg.norm(unseen, axis=1, keepdims=True)
 
 
 def _sd(combination: np.ndarray, covariance: np.ndarray, unseen: np.ndarray) -> float:

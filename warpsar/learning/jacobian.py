@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 import warp as wp
@@ -14,6 +15,7 @@ from warpsar.learning.view import FitView
 from warpsar.render.render import ViewRender
 from warpsar.render.tangents import Tangents
 
+T = TypeVar("T")
 Values = Mapping[str, np.ndarray]
 """An effect's name -> the values of its parameters in one view."""
 
@@ -112,6 +114,21 @@ class ViewJacobian:
             found.append(csr_array(moved.multiply(seen[:, None])))
             view.run_images(gradient=True)
         return found
+
+    def by_kind(
+        self, kinds_of: Callable[[FitView, ViewRender], tuple[T, np.ndarray, int]]
+    ) -> tuple[T, list[np.ndarray]]:
+        """What `kinds_of` finds, with the kind of each shading sample and their number (`FitProblem.by_kind`), and
+        d ln(mu) of each observation by the logarithm of what each kind of sample brings (`Tangents.powers`), shape
+        (n, kinds + 1), float64, after a run of the images."""
+        what, kind, count = kinds_of(self._view, self._render)
+        found = []
+        for (polarization, pixels, darkest), mu in zip(self._view.compared, self._view.modelled(), strict=True):
+            rows = self._tangents.powers(polarization, kind, count)
+            given: wp.array = wp.array(rows, dtype=float, device=self._render.program.device)
+            moved = self._tangents.through_image(polarization, given)[:, pixels].astype(float)
+            found.append((moved * np.where(mu > darkest, 1.0 / mu, 0.0)).T)
+        return what, found
 
     def _scales(self, polarization: str) -> np.ndarray:
         """How far each pixel grows with the whole image before the image stage, shape (pixels,)."""

@@ -37,6 +37,7 @@ from warpsar.scene.scene import Scene, scene_or_file
 from warpsar.simulation.rays import Rays
 from warpsar.simulation.sampling import RAY_NOISE, Density, choose_density
 from warpsar.surface.stage import Stage
+from warpsar.world.world import lacks_images
 
 
 @dataclass
@@ -208,10 +209,10 @@ def prepare(
 ) -> tuple[FitProblem, Density]:
     """The fit problem of the train views, with as many rays as the looks of the images ask for. `shared` as in
     `FitProblem`."""
-    stage = Stage.of(scene, device)
     views = [v for v in scene.views if v.role == "train" and v.images]
     if not views:
-        raise InputError(f"{scene.path}: views: none with role train has measured images")
+        raise lacks_images(scene, "train")
+    stage = Stage.of(scene, device)
     looks = [looks_of(scene, view) for view in views]
     density = choose_density(scene, stage, views, looks, RAY_NOISE, shared=shared)
     if density.chosen:

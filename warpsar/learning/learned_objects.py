@@ -9,6 +9,7 @@ import numpy as np
 import warp as wp
 
 from warpsar.learning.geometry import freed
+from warpsar.learning.glints import with_glints
 from warpsar.learning.identify import Identified
 from warpsar.learning.pose_search import FoundPoses, find_poses
 from warpsar.runtime import console
@@ -54,6 +55,10 @@ def learned_objects(scene: Scene, device: wp.Device, loss: str) -> LearnedObject
         return None
     fields = any(block.learn and block.size > 1 for block in Surface.of(scene).blocks)
     found = find_poses(scene, device, loss=loss, held=fields)
+    if any(one.glint for one in scene.objects):
+        with_points = with_glints(found.scene, device, loss)
+        console.say(f"glints: {len(with_points.objects) - len(scene.objects)} of {len(scene.objects)} bodies")
+        found = find_poses(with_points, device, loss=loss, held=fields, search=False)
     console.say(f"geometry: log-likelihood up by {found.gain:.4g}")
     return LearnedObjects(found.scene, found)
 

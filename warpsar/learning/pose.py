@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -13,14 +13,16 @@ import warp as wp
 from warpsar.compare.observation import Observation
 from warpsar.learning.geometry import Geometry
 from warpsar.learning.identify import Identified, of_information, score_products
-from warpsar.learning.pose_sharing import boxes, columns_of, shared
-from warpsar.learning.posed_images import images_elsewhere, without_paths
+from warpsar.learning.pose_sharing import Box, boxes, columns_of, faces_about, shared
+from warpsar.learning.posed_images import render_elsewhere, without_paths
 from warpsar.learning.prior import Known, Prior
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.view import FitView
+from warpsar.render.render import ViewRender
+from warpsar.render.tangents import through_image
 from warpsar.runtime import threads
 from warpsar.runtime.deadline import check
-from warpsar.runtime.matmul import transposed_times
+from warpsar.runtime.matmul import gram_by_tiles, transposed_times
 from warpsar.scene.scene import Scene
 from warpsar.simulation.exact_rays import ExactRays
 from warpsar.speckle.likelihood import residual_sd
@@ -58,17 +60,20 @@ class PosedProblem:
         level: float = 0.0,
         standing: Collection[str] = (),
         bound: float = 0.0,
+        forward: bool = False,
         rough: bool = False,
     ) -> None:
         """`held`: nothing moves but the poses. `level` [beta0]: how much of the floor was added to the measurement.
-        `bound` is that of the loss, as in `FitProblem`. `rough`: changes by poses are those of single bounces alone,
-        which is enough to tell which pose is worth a fit. Paths over several surfaces would be traced for each.
+        `bound` is that of the loss, as in `FitProblem`. `forward`: changes by poses are forward differences, of half as
+        many images, for a search that something finer follows. `rough`: these are of single bounces alone, which is
+        enough to tell which pose is worth a fit. Paths over several surfaces would be traced for each.
 
         `standing`: labels of objects whose foot stays at its height, known to `STANDS_M`. Their height and that of the
         foot would trade otherwise: a body sunk into the ground looks like a lower one.
         """
         self.scene, self.device, self.loss, self._seen = scene, device, loss, observations
-        self.geometry, self.level, self.bound, self.rough = Geometry(scene), level, bound, rough
+        self.geometry, self.level, self.bound = Geometry(scene), level, bound
+        self.forward, self.rough = forward or rough, rough
         self._kept: OrderedDict[bytes, FitProblem] = OrderedDict()
         self._changes: tuple[np.ndarray, list[np.ndarray]] | None = None  # x, and d(mu) / dp there of each observation
         self.count = len(self.geometry.coordinates)
@@ -142,28 +147,42 @@ class PosedProblem:
     def jacobian(self, x: np.ndarray, *, near: bool = False) -> list[np.ndarray]:
         """d ln(mu) / dx of every observation, shape (pixels, len(x)), as `FitProblem.jacobian`.
 
-        Those to poses are central differences of exact images, `POSE_STEP_M` to either side. `near`: those of an x
+        Those to poses are differences of exact images, `POSE_STEP_M` to either side. `near`: those of an x
         close by will do, if there are any.
         """
-        problem, rest = self.split(x)
-        if self.size:
-            own = problem.jacobian(rest)
-        else:
-            own = [np.zeros((seen.values.size, 0)) for seen in problem.observations]
-        modelled = problem.modelled(rest)
-        if not (self.is_made_at(x) or (near and self._is_near(x))):
-            tasks = [partial(self._changed, problem, view, rest, x[self.size :]) for view in problem.views]
-            self._changes = x.copy(), [one for found in threads.ordered(tasks, self.device) for one in found]
-        assert self._changes is not None
-        slopes = [
-            np.where(mu > seen.darkest, 1.0 / mu, 0.0)[:, None] * change
-            for change, seen, mu in zip(self._changes[1], problem.observations, modelled, strict=True)
-        ]
-        found = [np.column_stack(pair) for pair in zip(own, slopes, strict=True)]
+        found = self.slopes(x, near=near)
         if not self.scene.grid.calibrated:
-            weights = [c.weight for c in problem.curvatures(modelled)]
+            problem, rest = self.split(x)
+            weights = [c.weight for c in problem.curvatures(problem.modelled(rest))]
             found = [j - np.average(j, axis=0, weights=w) for j, w in zip(found, weights, strict=True)]
         return found
+
+    def slopes(self, x: np.ndarray, *, near: bool = False) -> list[np.ndarray]:
+        """As `jacobian`, but the tangent of an unknown gain stays in the columns of poses: they are 0 where a body
+        changes nothing."""
+        problem, rest = self.split(x)
+        own = problem.jacobian(rest) if self.size else None
+        modelled = problem.modelled(rest)
+        if not (self.is_made_at(x) or (near and self._is_near(x))):
+            self._changes = x.copy(), self._changed(problem, rest, x[self.size :])
+        assert self._changes is not None
+        found = []
+        for k, (change, seen, mu) in enumerate(zip(self._changes[1], problem.observations, modelled, strict=True)):
+            one = np.empty((mu.size, x.size))
+            if own is not None:
+                one[:, : self.size] = own[k]
+            np.multiply(np.where(mu > seen.darkest, 1.0 / mu, 0.0)[:, None], change, out=one[:, self.size :])
+            found.append(one)
+        return found
+
+    def begin_with(self, other: PosedProblem) -> None:
+        """Take the changes by poses at the start from a problem of the same scene that has these views and others."""
+        if not other.is_made_at(other.x0):
+            other.jacobian(other.x0)
+        assert other._changes is not None
+        known, mine = (one.standing(np.zeros(one.count)).observations for one in (other, self))
+        changes = {(s.view.name, s.polarization): each for s, each in zip(known, other._changes[1], strict=True)}
+        self._changes = self.x0.copy(), [changes[s.view.name, s.polarization] for s in mine]
 
     def _is_near(self, x: np.ndarray) -> bool:
         """Whether the last changes by poses were made at an x close to this one."""
@@ -178,30 +197,72 @@ class PosedProblem:
         """Whether the last changes by poses were made at this x."""
         return self._changes is not None and np.array_equal(x, self._changes[0])
 
-    def _changed(self, problem: FitProblem, view: FitView, rest: np.ndarray, p: np.ndarray) -> list[np.ndarray]:
-        """d(mu) / dp of a view's observations, shape (pixels, len(p)) each."""
-        seen_as = without_paths(problem.scene) if self.rough else problem.scene
-        places = boxes(seen_as, view.view)
+    def _changed(self, problem: FitProblem, rest: np.ndarray, p: np.ndarray) -> list[np.ndarray]:
+        """d(mu) / dp of every observation, shape (pixels, len(p)) each."""
+        found, tasks = [], []
+        for view in problem.views:
+            into = [np.zeros((seen.values.size, p.size), np.float32) for seen in view.observations]
+            tasks += self._moves(problem, view, rest, p, into)
+            found += into
+        for _ in threads.ordered(tasks, self.device):
+            pass
+        return found
+
+    def _moves(
+        self, problem: FitProblem, view: FitView, rest: np.ndarray, p: np.ndarray, into: list[np.ndarray]
+    ) -> list[Callable[[], None]]:
+        """Tasks that fill the view's columns of `into`, d(mu) / dp: one for all that may move in one render, or for all
+        that share the render of what stands, where differences are forward ones."""
+        scene = replace(problem.scene, effects=problem.effect_tables(rest))
+        places = boxes(without_paths(scene) if self.rough else scene, view.view)
         coordinates, name = self.geometry.coordinates, view.view.name
-        found = [np.zeros((seen.values.size, p.size)) for seen in view.observations]
+        tasks: dict[object, list[Sequence[int]]] = {}
         for group in shared(coordinates, places):
-            if not any(coordinates[k].changes(name) for k in group):
-                continue
+            if any(coordinates[k].changes(name) for k in group):
+                bodies = frozenset(coordinates[k].body for k in group)
+                tasks.setdefault(bodies if self.forward else tuple(group), []).append(group)
+        return [partial(self._moved, problem, view, rest, p, groups, places, into) for groups in tasks.values()]
+
+    def _moved(
+        self,
+        problem: FitProblem,
+        view: FitView,
+        rest: np.ndarray,
+        p: np.ndarray,
+        groups: Sequence[Sequence[int]],
+        places: Mapping[str, Box] | None,
+        into: list[np.ndarray],
+    ) -> None:
+        """Fill the columns of groups that move the same bodies: differences of the power before the image stage, taken
+        through that stage. An angle and a spacing may change that stage, too, so theirs are differences of images."""
+        coordinates, shape = self.geometry.coordinates, problem.scene.grid.shape
+        moving = {body for k in groups[0] if (body := coordinates[k].body) is not None}
+        band, faces = None, None
+        if places is not None and moving:
+            band = columns_of([places[body] for body in moving])
+            faces = faces_about(problem.scene, view.view, moving)
+
+        def at(step: np.ndarray) -> ViewRender:
+            stepped = self.geometry.stepped(problem.scene, p, step) if moving else self.geometry.at(p + step)
+            return render_elsewhere(problem, view, rest, stepped, band, faces, paths=not self.rough)
+
+        standing = at(np.zeros(p.size)) if self.forward else None
+        apart = POSE_STEP_M if self.forward else 2.0 * POSE_STEP_M
+        for group in groups:
             step = np.zeros(p.size)
             step[group] = POSE_STEP_M
-            bodies = {coordinates[k].body for k in group}
-            columns = None if places is None or None in bodies else columns_of([places[one] for one in bodies if one])
-            above, below = (
-                images_elsewhere(problem, view, rest, self.geometry.at(p + s * step), columns, paths=not self.rough)
-                for s in (1.0, -1.0)
-            )
-            for into, seen, a, b in zip(found, view.observations, above, below, strict=True):
-                row, column = np.divmod(seen.pixels, problem.scene.grid.shape[1])
-                for k in group:
-                    body = coordinates[k].body
-                    inside = True if places is None or body is None else places[body].holds(row, column)
-                    into[:, k] = np.where(inside, (a - b) / (2.0 * POSE_STEP_M), 0.0)
-        return found
+            above, below = at(step), standing or at(-step)
+            for (polarization, pixels, _), found in zip(view.compared, into, strict=True):
+                if not moving:
+                    up, down = (one.images[polarization].numpy()[pixels].astype(float) for one in (above, below))
+                    found[:, group[0]] = (up - down) / apart
+                    continue
+                up, down = (one.before_image[polarization].numpy().reshape(shape) for one in (above, below))
+                change = (up - down) / np.float32(apart)
+                own = [places[body] for k in group if (body := coordinates[k].body)] if places is not None else None
+                moves = np.stack([change] if own is None else [one.alone(change) for one in own])
+                moved = through_image(above, polarization, moves.reshape(len(group), -1))
+                found[:, group] = moved[:, pixels].T
 
     def identified(self, x: np.ndarray) -> Identified:
         """Fisher information of surface, effects and poses together, with the priors, and the intervals from it.
@@ -295,25 +356,54 @@ def _lower(
     return None
 
 
-def _quadratic(problem: PosedProblem, x: np.ndarray, *, near: bool = False) -> tuple[np.ndarray, np.ndarray]:
-    """Gradient and curvature of the loss with its priors; `near` as in `PosedProblem.jacobian`."""
-    jacobians = problem.jacobian(x, near=near)
+def _quadratic(
+    problem: PosedProblem, x: np.ndarray, *, near: bool = False, shifts: bool = False
+) -> tuple[np.ndarray, np.ndarray]:
+    """Gradient and curvature of the loss with its priors; `near` as in `PosedProblem.jacobian`. `shifts`: also to those
+    of every image in range and azimuth [pixels], behind x."""
+    slopes = problem.slopes(x, near=near)
     inner, rest = problem.split(x)
+    curvatures = inner.curvatures(inner.modelled(rest))
     gradient, hessian = problem.prior.gradient(x), problem.prior.information(x)
-    for j, c in zip(jacobians, inner.curvatures(inner.modelled(rest)), strict=True):
-        weighted = c.weight[:, None] * j
-        gradient = gradient - weighted.T @ c.residual
-        hessian = hessian + transposed_times(j, weighted)
+    if shifts:
+        slopes = [np.hstack(pair) for pair in zip(slopes, _shifts(inner), strict=True)]
+        more = 2 * len(slopes)
+        gradient, hessian = np.pad(gradient, (0, more)), np.pad(hessian, (0, more))
+    shape, calibrated = problem.scene.grid.shape, problem.scene.grid.calibrated
+    for j, c, seen in zip(slopes, curvatures, inner.observations, strict=True):
+        of_gain = c.weight @ j  # the tangent of an unknown gain is taken out of every column
+        gradient = gradient - (c.weight * c.residual) @ j
+        hessian = hessian + gram_by_tiles(j, c.weight, seen.pixels, shape)
+        if not calibrated:
+            total = float(c.weight.sum())
+            gradient = gradient + of_gain * (float(c.weight @ c.residual) / total)
+            hessian = hessian - np.outer(of_gain, of_gain) / total
     return gradient, hessian
 
 
-def without_shading(problem: PosedProblem) -> tuple[np.ndarray, np.ndarray]:
-    """Curvature and slope of the log-likelihood to the geometry, at the start, with surface and effects moving along.
+def _shifts(problem: FitProblem) -> list[np.ndarray]:
+    """d ln(mu) of every observation, shape (pixels, 2 x observations), by a shift of each image by a pixel in range and
+    in azimuth, about the images that were rendered last."""
+    found = []
+    pairs = [(view, seen) for view in problem.views for seen in view.observations]
+    for k, (view, seen) in enumerate(pairs):
+        image = view.render.images[seen.polarization].numpy().reshape(seen.interior.shape).astype(float)
+        slopes = -np.stack([np.gradient(image, axis=axis).ravel()[seen.pixels] for axis in (0, 1)], axis=1)
+        mu = np.maximum(image.ravel()[seen.pixels], seen.darkest)
+        columns = np.zeros((len(mu), 2 * len(pairs)))
+        columns[:, 2 * k : 2 * k + 2] = slopes / mu[:, None]
+        found.append(columns)
+    return found
+
+
+def without_shading(problem: PosedProblem, *, shifts: bool = False) -> tuple[np.ndarray, np.ndarray]:
+    """Curvature and slope of the log-likelihood to the geometry, at the start, with surface and effects moving along;
+    with `shifts`, to those of every image too, last.
 
     Shapes (n, n) and (n,): what is left of the geometry's own when all that surface and effects can imitate is taken
     out. A step s gains slope s - s curvature s / 2 to second order.
     """
-    gradient, hessian = _quadratic(problem, problem.x0)
+    gradient, hessian = _quadratic(problem, problem.x0, shifts=shifts)
     own, n = slice(0, problem.size), problem.size
     along = np.linalg.pinv(hessian[own, own], rcond=1e-9, hermitian=True) @ np.column_stack(
         [hessian[own, n:], gradient[own]]

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
@@ -42,23 +43,90 @@ SHARE = 0.2  # of a unit move, from which a number is part of it
 class FoundPoses:
     """Objects at their likeliest poses, views at their angles, and pixel spacings.
 
-    `scene`: the scene with them, and with the surface and effects that were fitted along. `gain`: what the poses add to
-    the log-likelihood over all usable pixels above a common floor (`pose_pixels`), where surface and effects are at
-    their best with and without them. `gain_given`: rise over the pixels that were given, from the scene as it was
-    given; a refit on those pixels raises it further. `size`: how many numbers of poses moved. `identified`: information
-    on everything that was fitted, poses last [m at the objects' edges]. `words`: what cannot be told apart. `pulls`:
-    every number of a pose or size that is known to a tolerance, before and after.
+    `scene`: the scene with them, and with the surface and effects that were fitted along. `loss`: where the fit ended,
+    with its priors. `size`: how many numbers of poses moved. `identified`: information on everything that was fitted,
+    poses last [m at the objects' edges]. `words`: what cannot be told apart. `pulls`: every number of a pose or size
+    that is known to a tolerance, before and after.
     """
 
     scene: Scene
-    gain: float
-    gain_given: float
+    loss: float
     size: int
     objects: dict[str, dict[str, Any]]
     numbers: dict[str, dict[str, Any]]
     identified: Identified
     words: list[str]
+    without: Callable[[], float] = field(repr=False)
+    """Fits surface and effects with nothing moved; returns that fit's loss."""
     pulls: list[Pull] = field(default_factory=list)
+
+    @cached_property
+    def gain(self) -> float:
+        """What the poses add to the log-likelihood over all usable pixels above a common floor (`pose_pixels`), where
+        surface and effects are at their best with and without them. It is a fit of its own when first asked for."""
+        return self.without() - self.loss
+
+
+@dataclass(frozen=True)
+class PoseSearch:
+    """What blurred images say of a geometry: where the fit of sharp images begins. `gain`: what has been gained of the
+    log-likelihood of the least blurred ones, by which searches are compared; 0 where there was none. `pixels` and
+    `gains` as `lit_pixels` has them, the others as `find_poses`; `known`: where the search ended, by label."""
+
+    scene: Scene
+    device: wp.Device
+    pixels: Mapping[str, list[Observation]]
+    gains: Mapping[tuple[str, str], float]
+    loss: str
+    held: bool
+    standing: Collection[str]
+    gain: float
+    known: Mapping[str, float]
+
+    def finish(self) -> FoundPoses:
+        """The likeliest geometry of the sharp images, from where the search ended."""
+        problem, end = self.descended(0.0)
+        identified = problem.identified(end.x)
+        found = _scene_at(problem, end.x, self.scene)
+        tolerated = set(problem.geometry.labels) - {problem.labels[k] for k in problem.stood}
+        return FoundPoses(
+            found,
+            end.loss,
+            problem.count - len(problem.stood),
+            summary(problem, end.x, identified),
+            numbers(problem, end.x, identified),
+            identified,
+            [*problem.geometry.held, *_words(problem, identified)],
+            self._loss_without,
+            [pull for pull in pulls(problem, end.x, identified) if pull.label in tolerated],
+        )
+
+    def descended(self, blur_m: float) -> tuple[PosedProblem, Descended]:
+        """The problem of images blurred by `blur_m`, and where it ends from what is known.
+
+        Blurred images hold the point spread that a scene declares, so it is no part of their x.
+        """
+        both = compared(self.scene, self.pixels, blur_m, self.gains)
+        problem = PosedProblem(
+            both.scene,
+            self.device,
+            both.observations,
+            loss=self.loss,
+            held=self.held,
+            level=both.level,
+            standing=self.standing,
+            forward=blur_m > 0.0,
+        )
+        x0 = zip(problem.labels, problem.x0, strict=True)
+        start = np.array([self.known.get(label, value) for label, value in x0])
+        if not blur_m:
+            return problem, descend(problem, start)
+        return problem, descend(problem, start, most=SEARCH_STEPS, flat=SEARCH_FLAT, near=True)
+
+    def _loss_without(self) -> float:
+        """The loss where nothing of the geometry moves."""
+        _, end = replace(self, scene=still(self.scene), known={}, standing=()).descended(0.0)
+        return end.loss
 
 
 def find_poses(
@@ -80,52 +148,62 @@ def find_poses(
     its height, where their own is learned. Raises InputError where nothing of the geometry is to be learned, and for
     views without images.
     """
+    begun = search_poses(
+        scene,
+        device,
+        views=views,
+        observations=observations,
+        loss=loss,
+        blurs_m=SEARCH_BLUR_M if search else (),
+        held=held,
+        standing=standing,
+    )
+    return begun.finish()
+
+
+def search_poses(
+    scene: Scene,
+    device: wp.Device,
+    *,
+    views: Sequence[str] | None = None,
+    observations: Mapping[str, list[Observation]] | None = None,
+    loss: str = "gamma",
+    blurs_m: Sequence[float] = SEARCH_BLUR_M,
+    held: bool = False,
+    standing: Collection[str] = (),
+) -> PoseSearch:
+    """The search on blurred images that `find_poses` begins with, and goes on from (`PoseSearch.finish`)."""
     if next(freed(scene), None) is None:
         raise InputError(
             f"{scene.name}: found no object, view, [radar] or [image] with `learn`; at least one must state it"
         )
-    given = FitProblem(
-        scene,
-        device,
-        loss=loss,
-        views=views,
-        rays=ExactRays(Stage.of(scene, device), seed=scene.sampling.seed),
-        observations=observations,
-    )
+    pixels, gains = lit_pixels(scene, device, loss, views, observations)
+    found = PoseSearch(scene, device, pixels, gains, loss, held, standing, 0.0, {})
+    for blur_m in blurs_m:
+        blurred, there = found.descended(blur_m)
+        gain = blurred.value(blurred.x0) - there.loss if blur_m == blurs_m[-1] else 0.0
+        found = replace(found, gain=gain, known=dict(zip(blurred.labels, there.x.tolist(), strict=True)))
+    return found
+
+
+def lit_pixels(
+    scene: Scene,
+    device: wp.Device,
+    loss: str,
+    views: Sequence[str] | None = None,
+    observations: Mapping[str, list[Observation]] | None = None,
+) -> tuple[dict[str, list[Observation]], dict[tuple[str, str], float]]:
+    """What the declared model sees of every image, by view name, and the images' gains, by view name and polarization.
+
+    `views` and `observations` as in `find_poses`.
+    """
+    rays = ExactRays(Stage.of(scene, device), seed=scene.sampling.seed)
+    given = FitProblem(scene, device, loss=loss, views=views, rays=rays, observations=observations)
     pixels: dict[str, list[Observation]] = {}
     for seen in given.observations:
         pixels.setdefault(seen.view.name, []).append(seen)
     gains = given.gains(given.modelled(given.x0))
-    loud = {(s.view.name, s.polarization): float(g) for s, g in zip(given.observations, gains, strict=True)}
-    known: dict[str, float] = {}
-    for blur_m in SEARCH_BLUR_M if search else ():
-        blurred, there = _descended(scene, device, pixels, loud, loss, held, blur_m, known, standing)
-        known = dict(zip(blurred.labels, there.x.tolist(), strict=True))
-    problem, end = _descended(scene, device, pixels, loud, loss, held, 0.0, known, standing)
-    identified = problem.identified(end.x)
-    found = _scene_at(problem, end.x, scene)
-    at_end = FitProblem(
-        found,
-        device,
-        loss=loss,
-        views=list(pixels),
-        rays=ExactRays(Stage.of(found, device), seed=scene.sampling.seed),
-        observations=pixels,
-    )
-    before, after = (one.value(one.modelled(one.x0)) for one in (given, at_end))
-    _, best = _descended(still(scene), device, pixels, loud, loss, held, 0.0, {})
-    tolerated = set(problem.geometry.labels) - {problem.labels[k] for k in problem.stood}
-    return FoundPoses(
-        found,
-        best.loss - end.loss,
-        float(before - after),
-        problem.count - len(problem.stood),
-        summary(problem, end.x, identified),
-        numbers(problem, end.x, identified),
-        identified,
-        [*problem.geometry.held, *_words(problem, identified)],
-        [pull for pull in pulls(problem, end.x, identified) if pull.label in tolerated],
-    )
+    return pixels, {(s.view.name, s.polarization): float(g) for s, g in zip(given.observations, gains, strict=True)}
 
 
 def group_pose(
@@ -149,31 +227,6 @@ def with_group(scene: Scene, group: str, learn: tuple[Learnable, ...]) -> Scene:
     """The scene with one of its groups as an object of its own, where it stands. Nothing else is learned of objects."""
     others = [one.model_copy(update={"learn": ()}) for one in scene.objects]
     return with_objects(scene, [*others, Object(group=group, learn=learn)])
-
-
-def _descended(
-    scene: Scene,
-    device: wp.Device,
-    pixels: Mapping[str, list[Observation]],
-    gains: Mapping[tuple[str, str], float],
-    loss: str,
-    held: bool,
-    blur_m: float,
-    known: Mapping[str, float],
-    standing: Collection[str] = (),
-) -> tuple[PosedProblem, Descended]:
-    """The problem of images blurred by `blur_m`, and where it ends from what is `known` by label.
-
-    Blurred images hold the point spread that a scene declares, so it is no part of their x.
-    """
-    both = compared(scene, pixels, blur_m, gains)
-    problem = PosedProblem(
-        both.scene, device, both.observations, loss=loss, held=held, level=both.level, standing=standing
-    )
-    start = np.array([known.get(label, value) for label, value in zip(problem.labels, problem.x0, strict=True)])
-    if not blur_m:
-        return problem, descend(problem, start)
-    return problem, descend(problem, start, most=SEARCH_STEPS, flat=SEARCH_FLAT, near=True)
 
 
 def _scene_at(problem: PosedProblem, x: np.ndarray, scene: Scene) -> Scene:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,12 +14,14 @@ from warpsar.world.tables import View
 from warpsar.world.world import geometry_of
 
 MARGIN = 2  # pixels about an object's own
-WIDTHS = 4.0  # full widths at half maximum, beyond which a Gaussian is nothing (e-44)
+BESIDE_M = 0.02  # about an object across the look direction: ten times what a difference moves it by
+WIDTHS = 1.8  # full widths at half maximum, beyond which a Gaussian is under 2e-4: less than a difference is wrong by
 
 
 @dataclass(frozen=True)
 class Box:
-    """Pixels from `low` to before `high`, (row, column) each: all that an object's move can change in a view."""
+    """Pixels from `low` to before `high`, (row, column) each: all that an object's move can change in a view, before
+    the image stage."""
 
     low: tuple[int, int]
     high: tuple[int, int]
@@ -27,10 +29,12 @@ class Box:
     def meets(self, other: Box) -> bool:
         return all(self.low[k] < other.high[k] and other.low[k] < self.high[k] for k in (0, 1))
 
-    def holds(self, row: np.ndarray, column: np.ndarray) -> np.ndarray:
-        """Which pixels lie inside, (n,) bool."""
-        inside = (row >= self.low[0]) & (row < self.high[0]) & (column >= self.low[1]) & (column < self.high[1])
-        return np.asarray(inside)
+    def alone(self, image: np.ndarray) -> np.ndarray:
+        """The image (rows, columns) inside, and 0 outside."""
+        found = np.zeros_like(image)
+        inside = tuple(slice(max(low, 0), max(high, 0)) for low, high in zip(self.low, self.high, strict=True))
+        found[inside] = image[inside]
+        return found
 
 
 def columns_of(places: Sequence[Box]) -> tuple[int, int]:
@@ -39,13 +43,14 @@ def columns_of(places: Sequence[Box]) -> tuple[int, int]:
 
 
 def boxes(scene: Scene, view: View) -> dict[str, Box] | None:
-    """The pixels that each object can change with its shadow, by label; None where an effect carries power further.
+    """The pixels that each object can change with its shadow before the image stage, by label; None where an effect
+    carries power further.
 
     What an object hides lies behind it, and not below the lowest point of the scene: (z - lowest) / cos(incidence)
     further along the ray.
     """
-    blur = _blur_m(scene)
-    if blur is None or scene.slant_range_m(view) is not None or scene.assembly is None:
+    spread = _spread_m(scene)
+    if spread is None or scene.slant_range_m(view) is not None or scene.assembly is None:
         return None
     geometry, spacing = geometry_of(scene, view), scene.grid.spacing_m
     origin, lowest = np.asarray(scene.reference_point_m), float(scene.mesh.vertices[:, 2].min())
@@ -57,25 +62,42 @@ def boxes(scene: Scene, view: View) -> dict[str, Box] | None:
         behind = range_m + (vertices[:, 2] - lowest) / -geometry.d[2]
         ends = ((range_m.min(), behind.max()), (azimuth_m.min(), azimuth_m.max()))
         low, high = [], []
-        for (least, most), step, count, width in zip(ends, spacing, scene.grid.shape, blur, strict=True):
-            low.append(int(np.floor((least - width) / step + count / 2)) - MARGIN)
-            high.append(int(np.ceil((most + width) / step + count / 2)) + MARGIN)
+        for (least, most), step, count in zip(ends, spacing, scene.grid.shape, strict=True):
+            low.append(int(np.floor((least - spread) / step + count / 2)) - MARGIN)
+            high.append(int(np.ceil((most + spread) / step + count / 2)) + MARGIN)
         found[one.label] = Box((low[0], low[1]), (high[0], high[1]))
     return found
 
 
-def _blur_m(scene: Scene) -> tuple[float, float] | None:
-    """How far a Gaussian point spread carries power in range and azimuth [m]; None where others carry it, too.
+def faces_about(scene: Scene, view: View, bodies: Collection[str]) -> np.ndarray:
+    """The faces of the scene's mesh, shape (faces,), that bodies may hide or be hidden by, and their own, by label.
+
+    A body changes the image where it lies across the look direction, and nowhere else. So faces whose extents meet none
+    of its own there change nothing of the difference that a move of it makes.
+    """
+    assert scene.assembly is not None
+    geometry = geometry_of(scene, view)
+    axes = np.stack([geometry.u, geometry.v], axis=1)
+    corners = (scene.mesh.vertices @ axes)[scene.mesh.faces]
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    found = np.zeros(len(low), bool)
+    for one in scene.objects:
+        if one.label in bodies:
+            own = scene.assembly.vertices_of(one) @ axes
+            found |= ((low < own.max(axis=0) + BESIDE_M) & (high > own.min(axis=0) - BESIDE_M)).all(axis=1)
+    return found
+
+
+def _spread_m(scene: Scene) -> float | None:
+    """How far effects carry power before the image stage [m]: that of `unresolved_detail` by a Gaussian; None where
+    others carry it, too.
 
     Effects on the surface and gains leave power where it is.
     """
-    carrying = {name for name in scene.effects if get(name).stage not in ("surface", "gain")}
-    if not carrying <= {"noise_floor", "interference", "point_spread"}:
+    carrying = {name for name in scene.effects if get(name).stage in ("position", "path")}
+    if not carrying <= {"unresolved_detail"}:
         return None
-    table = scene.effects.get("point_spread", {})
-    if table.get("window", "gaussian") != "gaussian":
-        return None
-    return tuple(WIDTHS * float(table.get(f"{axis}_fwhm_m", 0.0)) for axis in ("range", "azimuth"))  # type: ignore[return-value]
+    return WIDTHS * float(scene.effects.get("unresolved_detail", {}).get("spread_m", 0.0))
 
 
 def shared(coordinates: Sequence[GeometryCoordinate], places: Mapping[str, Box] | None) -> list[list[int]]:

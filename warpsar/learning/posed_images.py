@@ -1,7 +1,8 @@
-"""Images of a view whose geometry lies elsewhere, for derivatives: a render alone, without a fit problem of its own.
+"""Renders of a view whose geometry lies elsewhere, for derivatives: without a fit problem of their own.
 
-A derivative to a pose needs two images of each view, and nothing of what a fit records beside them. So only the hits
-are traced anew, and only where a body can change the image.
+A derivative to a pose needs two renders of each view, and nothing of what a fit records beside them. So only the hits
+are traced anew, and only where a body can change the image. The power before the image stage is enough: a body changes
+it near by alone, whatever sidelobes a point has.
 """
 
 from __future__ import annotations
@@ -29,19 +30,20 @@ def without_paths(scene: Scene) -> Scene:
     return replace(scene, effects={name: t for name, t in scene.effects.items() if get(name).stage != "path"})
 
 
-def images_elsewhere(
+def render_elsewhere(
     problem: FitProblem,
     view: FitView,
     x: np.ndarray,
     scene: Scene,
     columns: tuple[int, int] | None = None,
+    faces: np.ndarray | None = None,
     *,
     paths: bool = True,
-) -> list[np.ndarray]:
-    """beta0 of each observation's compared pixels, shape (n,) each, float64, with the view's geometry as `scene` has
-    it; surface and effects as x of `problem` says.
+) -> ViewRender:
+    """The view with its geometry as `scene` has it; surface and effects as x of `problem` says. It has run.
 
     `columns`: from the first to before the last column of the image that is made; the others stay without hits.
+    `faces`: those that are there, shape (faces,), as `exact_hits` has them; by default all.
     `paths`: whether light that went over several surfaces is in them. The scene has the faces of the problem's own, in
     the same order. Raises TimeUp where the time of the run is over.
     """
@@ -52,11 +54,11 @@ def images_elsewhere(
     effects = declared(placed, there, neutral=True)
     stage = replace(problem.stage, target=Target.upload(scene.mesh, scene.reference_point_m, problem.device))
     rays = ExactRays(stage, seed=scene.sampling.seed)
-    hits = rays.trace(placed, there, effects, _of_the_grid(placed, effects, columns))
+    hits = rays.trace(placed, there, effects, _of_the_grid(placed, effects, columns), only_faces=faces)
     render = ViewRender(stage, there, hits, scene.grid.shape, tuple(there.images), effects)
     render.set_parameters(problem.float_nodes(x))
-    images = render.forward()
-    return [images[name].ravel()[pixels].astype(float) for name, pixels, _ in view.compared]
+    render.forward()
+    return render
 
 
 def _of_the_grid(

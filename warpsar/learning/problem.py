@@ -42,6 +42,7 @@ from warpsar.simulation.rays import Rays
 from warpsar.speckle.likelihood import Curvature
 from warpsar.surface.stage import Stage
 from warpsar.world.tables import View
+from warpsar.world.world import lacks_images
 
 T = TypeVar("T")
 
@@ -84,7 +85,7 @@ class FitProblem(SceneCoordinates):
     ) -> None:
         chosen = [v for v in scene.views if v.role in roles and v.images and (views is None or v.name in views)]
         if not chosen:
-            raise InputError(f"{scene.name}: views: none with role {' or '.join(roles)} has measured images")
+            raise lacks_images(scene, *roles)
         super().__init__(scene, chosen)
         self.prior = Prior.of(self)
         if roughness is not None:
@@ -474,6 +475,27 @@ class FitProblem(SceneCoordinates):
         tasks = [partial(one, view, maker) for view, maker in zip(self.views, makers, strict=True)]
         found = list(threads.ordered(tasks, self.device))
         return [mu for mus, _ in found for mu in mus], [j for _, js in found for j in js]
+
+    def by_kind(
+        self, x: np.ndarray, kinds_of: Callable[[FitView, ViewRender], tuple[T, np.ndarray, int]]
+    ) -> list[tuple[T, list[np.ndarray]]] | None:
+        """What `kinds_of` finds in each view at x, and d ln(mu) of its observations by the logarithm of the power of
+        each kind of sample, shape (pixels, kinds + 1), float64; the last is that of ways over several surfaces.
+
+        `kinds_of` also gives the kind of each shading sample, -1 for none, and their number. None where the hits of all
+        views are not at hand. Gains are not projected out.
+        """
+        if self._makers is None or not self.holds_all:
+            return None
+        shared, tables = self._share(x), self.effect_tables(x)
+
+        def one(view: FitView, maker: ViewJacobian) -> tuple[T, list[np.ndarray]]:
+            self._set(view, shared, tables)
+            view.run_images()
+            return maker.by_kind(kinds_of)
+
+        tasks = [partial(one, view, maker) for view, maker in zip(self.views, self._makers, strict=True)]
+        return list(threads.ordered(tasks, self.device))
 
     def sparse_jacobian(self, x: np.ndarray, *, near: bool = False) -> list[csr_array]:
         """d ln(mu) / dx of the surface's nodes, for every observation: shape (pixels, p), float64.

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from warpsar.learning.identify import Identified, of_information
+from warpsar.learning.identify import RANK_TOLERANCE, Identified, pseudo_inverse
 from warpsar.learning.prior import Known, Prior
 
 ALARM = 3.0  # standard deviations beyond which a value leaves its tolerance: 0.3 % of the values that keep it do
@@ -77,7 +77,8 @@ class FitNumbers(Protocol):
 
 def pulls(problem: FitNumbers, x: np.ndarray, identified: Identified | None) -> list[Pull]:
     """Every known value of a fit that has arrived at x; `identified` as `identify` gives it, None for fields."""
-    return [_pull(problem, np.asarray(x), identified, one) for one in problem.prior.known]
+    inverse = None if identified is None else pseudo_inverse(identified.information, problem.zero_sum_means)[0]
+    return [_pull(problem, np.asarray(x), identified, inverse, one) for one in problem.prior.known]
 
 
 def leaving(found: Sequence[Pull]) -> list[str]:
@@ -85,16 +86,18 @@ def leaving(found: Sequence[Pull]) -> list[str]:
     return [one.label for one in found if one.alarm]
 
 
-def _pull(problem: FitNumbers, x: np.ndarray, identified: Identified | None, one: Known) -> Pull:
+def _pull(
+    problem: FitNumbers, x: np.ndarray, identified: Identified | None, inverse: np.ndarray | None, one: Known
+) -> Pull:
     posterior, deviation = float(one.value(x[one.at])), one.deviation(x)
     found = Pull(one.label, one.unit, one.about, one.sd, posterior, None, deviation)
-    if identified is None:
+    if identified is None or inverse is None:
         return found
     if one.shared is not None:  # what the images say alone is not to be parted from what its survey says of it
         return replace(found, posterior_sd=abs(float(one.slope(x[one.at]))) * float(identified.sd[one.at]))
     slope = abs(float(one.slope(x[one.at])))
     found = replace(found, posterior_sd=slope * float(identified.sd[one.at]))
-    bend, sd = (slope * value for value in _without_own(problem, identified, one.at, (slope / one.sd) ** 2))
+    bend, sd = (slope * value for value in _without_own(identified, inverse, one.at, (slope / one.sd) ** 2))
     if not np.isfinite(sd):
         return found
     # where the images' loss is lowest: their gradient is against that of the value's own prior
@@ -104,16 +107,16 @@ def _pull(problem: FitNumbers, x: np.ndarray, identified: Identified | None, one
     return replace(found, data=float(np.clip(data, low, high)), data_sd=sd, tension=tension)
 
 
-def _without_own(problem: FitNumbers, identified: Identified, at: int, own: float) -> tuple[float, float]:
+def _without_own(identified: Identified, inverse: np.ndarray, at: int, own: float) -> tuple[float, float]:
     """Two deviations of element `at` of x without its `own` information: by the curvature alone, and by its residuals.
 
-    Both are infinite where the images do not see it.
+    Both are infinite where the images do not see it. With c the column of F^-1 at the element and f its value there,
+    the column without `own` is c / (1 - own f) (Sherman and Morrison 1950).
     """
-    taken = np.zeros_like(identified.information)
-    taken[at, at] = own
-    information, products = identified.information - taken, identified.products - taken
-    found = [
-        of_information(identified.labels, information, each, problem.zero_sum_means).sd[at]
-        for each in (information, products)
-    ]
-    return float(found[0]), float(found[1])
+    column, products = inverse[:, at], identified.products
+    left = 1.0 / column[at] - own if column[at] > 0 else 0.0
+    if left <= RANK_TOLERANCE * (identified.information[at, at] - own):
+        return np.inf, np.inf
+    column = column / (left * column[at])
+    variance = float(column @ products @ column) - own * float(column[at]) ** 2
+    return float(np.sqrt(1.0 / left)), float(np.sqrt(max(variance, 0.0)))

@@ -20,7 +20,7 @@ from warpsar.io.images import replacing, write_exr
 from warpsar.io.quick_look import QuickLook, draw_together
 from warpsar.measured.gridding import Gridded, Gridding, on_grid
 from warpsar.measured.placed import frame_of
-from warpsar.measured.response import contradicts, point_spread
+from warpsar.measured.response import contradicts, of_focus, point_spread
 from warpsar.scene import file as scenefile
 from warpsar.scene.scene import Scene
 from warpsar.speckle.looks import equivalent_looks
@@ -121,8 +121,12 @@ def import_measured(
     gridded = on_grid(measured, scene, view, how)
     power, per_pixel = gridded.power, gridded.samples
     messages += gridded.messages + rounding(measured)
-    blur, told = point_spread(measured, scene, view, per_pixel) if isinstance(measured, ImageChip) else (None, [])
-    messages += told
+    blur = None
+    if isinstance(measured, ImageChip):
+        blur, told = point_spread(measured, scene, view, per_pixel)
+        messages += told
+    elif gridded.slc is not None:
+        blur = of_focus(measured, (window_range, window_azimuth), scene, per_pixel)
     looks = equivalent_looks(power)
     if looks is None:
         messages.append("too little homogeneous ground to estimate looks from; none written")

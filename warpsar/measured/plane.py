@@ -87,8 +87,7 @@ def focus_plane(
     cosine = cross_range_cosine(history, reference_point_m)
     weights = taper(window_azimuth, centred(cosine))
     total: wp.array = wp.zeros(plane.shape, dtype=wp.vec2, device=target)
-    for module in (backproject_plane_kernel(EACH, True).module, expand_kernel.module):
-        wp.load_module(module, device=target)
+    devices.load_kernels(target, alone=[backproject_plane_kernel(EACH, True), expand_kernel])
     part = part_of(history, own) if target.is_cpu else None
     most = max(1, PROFILE_BYTES // (8 * profile_bins(history)))
     step = min(_PULSES_TOGETHER, most) if part is None or part.pulses > most else part.pulses

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from warpsar.formats.base.data import ImageChip
+from warpsar.formats.base.data import ImageChip, PhaseHistory
+from warpsar.measured.focus import cell_m
 from warpsar.measured.ground import plane_points
 from warpsar.world.tables import View
+from warpsar.world.taper import width_in_cells
 from warpsar.world.world import World, geometry_of
 
 KNOWN = 0.05
@@ -45,19 +47,42 @@ def point_spread(
             said = "its rows and columns are not along range and azimuth: no point_spread is declared"
             return None, [*messages, f"{chip.source}: {said}"]
         widths = (np.asarray(widths) / np.diag(size)).tolist()
+    cells = np.prod(chip.response.width_m) * np.prod(chip.response.band)
+    return _table(widths, "sinc" if cells < 1.0 else "taylor", world, samples), messages
+
+
+def of_focus(
+    history: PhaseHistory, windows: tuple[str, str], world: World, samples: tuple[int, int]
+) -> dict[str, Any] | None:
+    """The table of a phase history that was focused as one aperture: of its band, its track and the tapers of both.
+
+    None where a taper is none that `point_spread` knows.
+    """
+    names = [_OF_TAPER.get(window) for window in windows]
+    if None in names:
+        return None
+    cells = cell_m(history, np.asarray(world.reference_point_m, np.float64))
+    widths = [cell * width_in_cells(window) for cell, window in zip(cells, windows, strict=True)]
+    window = names[0] if names[0] == names[1] else names
+    return _table(widths, window, world, samples)
+
+
+_OF_TAPER = {"none": "sinc", "taylor": "taylor"}
+
+
+def _table(widths: Sequence[float], window: Any, world: World, samples: tuple[int, int]) -> dict[str, Any]:
+    """The table of widths in range and azimuth [m] that are known to 5 % and to what pixels add."""
     box = [_BOX * (step / count) ** 2 for step, count in zip(world.grid.spacing_m, samples, strict=True)]
     sds = []
     for width, part in zip(widths, box, strict=True):
         sharper = width - np.sqrt(max(width**2 - part, 0.0))
         sds.append(float(np.hypot(KNOWN * width, sharper)))
-    cells = np.prod(chip.response.width_m) * np.prod(chip.response.band)
     names = ("range_fwhm_m", "azimuth_fwhm_m")
-    table = {
+    return {
         **dict(zip(names, (_digits(width) for width in widths), strict=True)),
-        "window": "sinc" if cells < 1.0 else "taylor",
+        "window": window,
         "tolerance": dict(zip(names, map(_digits, sds), strict=True)),
     }
-    return table, messages
 
 
 def contradicts(table: Mapping[str, Any], stated: Mapping[str, Any]) -> list[str]:

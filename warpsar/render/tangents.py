@@ -34,9 +34,6 @@ class Tangents:
             pol: render.program.part([d.sigma for d in deposits], zetas) for pol, deposits in render.deposited.items()
         }
         self._met = {pol: self._meetings(deposits) for pol, deposits in render.deposited.items()}
-        self._image = {
-            pol: render.program.part([render.images[pol]], [before]) for pol, before in render.before_image.items()
-        }
         self._launches: dict[tuple[str, bytes], tuple[wp.array, list[wp.Launch]]] = {}
         self._spreads: dict[int, Spread] = {}
 
@@ -112,6 +109,20 @@ class Tangents:
                 found = found + falls @ coo_array((share[mine] * slopes[hit[mine], k], at), (len(slopes), shape[1]))
         return csc_array(found)
 
+    def powers(self, polarization: str, kind: np.ndarray, count: int) -> np.ndarray:
+        """beta0 before the image stage that samples of each of `count` kinds bring, shape (count + 1, pixels), float32.
+
+        `kind`: of each shading sample, shape (n,), -1 for none. The last row is what comes over several surfaces.
+        """
+        first, *others = self._render.deposited[polarization]
+        mine = np.flatnonzero(kind >= 0)
+        sigma = first.sigma.numpy().astype(float)
+        of_kinds = coo_array((sigma[mine], (mine, kind[mine])), (sigma.size, count + 1))
+        found = (self._falls(first) @ of_kinds).toarray()
+        for d in others:
+            found[:, count] += self._falls(d) @ d.sigma.numpy().astype(float)
+        return np.asarray(found.T, np.float32)
+
     def _falls(self, d: Deposited) -> csr_array:
         """Where the power of each sample falls, shape (pixels, samples)."""
         rows, cols = self._render.shape
@@ -135,37 +146,8 @@ class Tangents:
         return coo_array((share, (pixel, sample)), shape).tocsr()
 
     def through_image(self, polarization: str, tangents: wp.array) -> np.ndarray:
-        """The image stage's derivative along each of `tangents`, shape (n, pixels), float32.
-
-        It leaves images that stand for nothing: bring them up to date from `before_image` on.
-        """
-        render = self._render
-        before, image, part = render.before_image[polarization], render.images[polarization], self._image[polarization]
-        if image is before:
-            return np.asarray(tangents.numpy())
-        on_host = render.program.device.is_cpu  # its arrays are NumPy's: a copy by Warp takes longer than a blur
-        standing, moves = before.numpy().copy(), tangents.numpy()
-        given, made = (before.numpy(), image.numpy()) if on_host else (None, None)
-
-        def after(values: np.ndarray) -> np.ndarray:
-            if given is None:
-                before.assign(values)
-            else:
-                given[:] = values
-            part.forward()
-            return image.numpy() if made is None else made
-
-        found = np.empty(tangents.shape, np.float32)
-        if render.affine:
-            added = after(np.zeros_like(standing)).copy()
-            for k, move in enumerate(moves):
-                np.subtract(after(move), added, out=found[k])
-        else:
-            for k, move in enumerate(moves):
-                above = after(standing + STEP * move).astype(float)
-                found[k] = (above - after(standing - STEP * move)) / (2.0 * STEP)
-        before.assign(standing)
-        return found
+        """`through_image` along each of `tangents`, shape (n, pixels), float32."""
+        return through_image(self._render, polarization, np.asarray(tangents.numpy()))
 
     def sparse_through_image(self, polarization: str, columns: csc_array) -> csc_array:
         """`through_image` of sparse columns, shape (pixels, n), in pieces; elements under `SMALLEST` are left out."""
@@ -180,6 +162,40 @@ class Tangents:
             moved[np.abs(moved) <= SMALLEST * np.abs(moved).max(axis=1, keepdims=True)] = 0.0
             found.append(csc_array(moved.T.astype(float)))
         return csc_array(hstack(found)) if found else columns
+
+
+def through_image(render: ViewRender, polarization: str, moves: np.ndarray) -> np.ndarray:
+    """The image stage's derivative along each of `moves`, images before it, shape (n, pixels), float32.
+
+    It leaves images that stand for nothing: bring them up to date from `before_image` on.
+    """
+    before, image = render.before_image[polarization], render.images[polarization]
+    if image is before:
+        return moves
+    part = render.program.part([image], [before])
+    on_host = render.program.device.is_cpu  # its arrays are NumPy's: a copy by Warp takes longer than a blur
+    standing = before.numpy().copy()
+    given, made = (before.numpy(), image.numpy()) if on_host else (None, None)
+
+    def after(values: np.ndarray) -> np.ndarray:
+        if given is None:
+            before.assign(values)
+        else:
+            given[:] = values
+        part.forward()
+        return image.numpy() if made is None else made
+
+    found = np.empty(moves.shape, np.float32)
+    if render.affine:
+        added = after(np.zeros_like(standing)).copy()
+        for k, move in enumerate(moves):
+            np.subtract(after(move), added, out=found[k])
+    else:
+        for k, move in enumerate(moves):
+            above = after(standing + STEP * move).astype(float)
+            found[k] = (above - after(standing - STEP * move)) / (2.0 * STEP)
+    before.assign(standing)
+    return found
 
 
 def _overlap(first: np.ndarray, width: float, pixel: np.ndarray) -> np.ndarray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from tqdm import tqdm
@@ -16,9 +16,9 @@ TICK_S = 1.0
 
 
 @contextmanager
-def busy(what: str) -> Iterator[None]:
+def busy(what: str) -> Iterator[Callable[[str], None]]:
     """While the block runs, from its second second on: `what` and the time it has taken, on stderr where that is a
-    terminal."""
+    terminal. The block gets a function that puts other words in the place of `what`."""
     bar = tqdm(
         desc=what,
         bar_format="{desc} [{elapsed}]",
@@ -28,7 +28,7 @@ def busy(what: str) -> Iterator[None]:
         leave=False,
     )
     if bar.disable:
-        yield
+        yield lambda words: None
         return
     done = threading.Event()
 
@@ -39,7 +39,7 @@ def busy(what: str) -> Iterator[None]:
     thread = threading.Thread(target=tick, daemon=True)
     thread.start()
     try:
-        yield
+        yield lambda words: bar.set_description_str(words, refresh=False)
     finally:
         done.set()
         thread.join()

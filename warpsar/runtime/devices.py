@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from functools import cache, partial
 from importlib import import_module
+from itertools import count
 from typing import TYPE_CHECKING
 
 from warpsar.errors import DeviceError
+from warpsar.runtime.busy import busy
 from warpsar.runtime.distributed.torchrun import number_here
 from warpsar.runtime.driver import no_driver_warning
 from warpsar.runtime.threads import in_threads
@@ -68,12 +70,21 @@ def load_kernels(device: wp.Device, *names: str, alone: Iterable[wp.Kernel] = ()
     in modules of their own.
 
     At their first launches they would be compiled one after the other. A module's `BLOCK` is the block size of its
-    launches, where that is not Warp's default: on CUDA each size is compiled by itself.
+    launches, where that is not Warp's default: on CUDA each size is compiled by itself. A terminal sees how many are
+    ready; from the cache they load before it would.
     """
     import warp as wp
 
     modules = [import_module(f"warpsar.kernels.{name}") for name in names]
     load = [partial(wp.load_module, m, device=device, block_dim=getattr(m, "BLOCK", None)) for m in modules]
     load += [partial(wp.load_module, kernel.module, device=device) for kernel in alone]
-    for _ in in_threads(load):
-        pass
+    what, ready = f"compiling kernels for {device.alias} (first run only)", count(1)
+
+    with busy(what) as say:
+
+        def counted(task: Callable[[], object]) -> None:
+            task()
+            say(f"{what}: {next(ready)} of {len(load)}")
+
+        for _ in in_threads([partial(counted, task) for task in load]):
+            pass

@@ -12,7 +12,7 @@ from pydantic import Field, ValidationError, field_validator
 
 from warpsar.effects.registry import validate
 from warpsar.errors import InputError, listed, shown
-from warpsar.world.collection import Antenna, Collection, Transmitter
+from warpsar.world.collection import Antenna, AntennaChannels, Collection, CollectionErrors, Transmitter
 from warpsar.world.curve import Curve
 from warpsar.world.library.fill import filled, of_one_frequency
 from warpsar.world.library.surfaces import SURFACES
@@ -111,6 +111,9 @@ _INNER: dict[tuple[object, ...], type[Table]] = {
     ("scene", "origin"): Origin,
     ("collection", "antenna"): Antenna,
     ("collection", "transmitter"): Transmitter,
+    ("collection", "errors"): CollectionErrors,
+    ("collection", "errors", "transmit"): AntennaChannels,
+    ("collection", "errors", "receive"): AntennaChannels,
 }
 
 

@@ -13,6 +13,7 @@ from warpsar.errors import InputError
 from warpsar.io.images import read_channel, read_mask
 from warpsar.scene import checks
 from warpsar.scene.file import SceneFile, beside_the_radar, parse, parse_effects, read, refuse
+from warpsar.scene.own_materials import with_own_materials
 from warpsar.world.collection import RENAMED, Collection
 from warpsar.world.curve import Curve
 from warpsar.world.library.fill import beyond, named
@@ -60,16 +61,18 @@ class _Loader:
         mesh = None if mesh_path is None else self.mesh("scene.mesh", mesh_path)
         warned = [] if mesh is None else [f"{mesh_path}: {warning}" for warning in mesh.warnings]
         objects = [each for index, one in enumerate(file.objects) for each in self.posed(index, self.object(one))]
+        objects, stated, self.effects, problems = with_own_materials(objects, file.materials, self.effects)
+        self.problems += problems
         assembly = self.assembly(mesh, mesh_path, objects) if objects and not self.problems else None
         mesh = mesh if assembly is None else assembly.mesh(objects)
         views = [self.view(index, view) for index, view in enumerate(file.views)]
         found = [self.curve(index, curve, mesh) for index, curve in enumerate(file.curves)]
         self.problems += checks.view_names(views)
         frequency_hz = file.radar.frequency_hz
-        unstated = [] if mesh is None else [name for name in mesh.materials if name not in file.materials]
+        unstated = [] if mesh is None else [name for name in mesh.materials if name not in stated]
         of_library = named(unstated, frequency_hz)
         self.problems += beside_the_radar(file, {name: name for name in of_library})
-        tables = {**file.materials, **of_library}
+        tables = {**stated, **of_library}
         materials = {name: self.material(name, table, mesh) for name, table in tables.items()}
         self.warnings += [w for name, table in tables.items() if (w := beyond(name, table, frequency_hz))]
         if mesh is not None:
@@ -177,12 +180,11 @@ class _Loader:
             if name not in labels:
                 known = ", ".join(labels) or "none"
                 self.problems.append(f"collection.velocity_m_s: found {name!r}; must name one of [[objects]] ({known})")
-        if table.trajectory is None:
-            return table
-        path = self.absolute(table.trajectory)
-        if not path.is_file():
-            self.problems.append(f"collection.trajectory: found {path}; there is no such file")
-        return table.model_copy(update={"trajectory": path})
+        table = table.with_files(self.absolute)
+        for key, path in table.files.items():
+            if not path.is_file():
+                self.problems.append(f"collection.{key}: found {path}; there is no such file")
+        return table
 
     def curve(self, index: int, curve: Curve, of_scene: Mesh | None) -> Curve:
         """The curve with its file's place; what does not fit the file or the radar is a problem."""

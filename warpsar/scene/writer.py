@@ -74,10 +74,8 @@ class _Writer:
         if scene.curves:
             tables["curves"] = [self.curve(one) for one in scene.curves]
         if scene.collection is not None:
-            kept = {key: value for key, value in _plain(scene.collection).items() if not _twice(scene, key)}
-            tables["collection"] = kept
-            if scene.collection.trajectory is not None:
-                tables["collection"]["trajectory"] = self.relative(scene.collection.trajectory)
+            table = _plain(scene.collection.with_files(self.relative))
+            tables["collection"] = {key: value for key, value in table.items() if not _twice(scene, key)}
         if scene.views:
             tables["views"] = [self.view(view) for view in scene.views]
         return tables

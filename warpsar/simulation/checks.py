@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from warpsar.models import registry
 from warpsar.models.base.model import DEFAULT
@@ -21,6 +22,7 @@ OVERLAP = 0.1  # of the smaller of image and mesh: less is a grid that misses
 UNITS = 300.0  # times larger or smaller than the image: more is a mesh in other units
 SHARE = 0.1  # of the lit area outside its model's domain, before it is said
 DARK = 0.5  # of the lit pixels that are 0 in HV or VH, before it is said
+GRAZING = 1e-3  # cosine up to which a face is seen from its edge, and neither from before nor from behind
 _NAMED = 3  # views, by name
 
 
@@ -62,9 +64,11 @@ def _extent(stage: Stage, geometry: ViewGeometry) -> tuple[np.ndarray, np.ndarra
 @dataclass
 class Findings:
     """What images showed. `areas`: as `lit_areas`, summed over views; `dark`: polarization -> view -> share of its lit
-    pixels that are exactly 0; `remarks`: of effects, with the views that they are said of."""
+    pixels that are exactly 0; `remarks`: of effects, with the views that they are said of; `behind`: faces of the mesh
+    that a radar has seen from behind, where bounces are followed, else none."""
 
     areas: Any = 0.0
+    behind: NDArray[np.integer] = field(default_factory=lambda: np.zeros(0, np.int64))
     dark: dict[str, dict[str, float]] = field(default_factory=dict)
     remarks: dict[str, dict[str, None]] = field(default_factory=dict)
 
@@ -78,6 +82,8 @@ class Findings:
             self.areas = self.areas + areas
         for remark in render.remarks:
             self.remarks.setdefault(remark, {})[render.view.name] = None
+        if "multibounce" in render.settings:
+            self.behind = np.union1d(self.behind, _seen_from_behind(stage, render))
         for polarization in beta0.keys() & {"HV", "VH"}:
             seen = beta0[polarization][lit] if lit.any() else np.zeros(min(render.hits.count, 1))
             share = float((seen == 0).mean()) if seen.size else 0.0
@@ -89,6 +95,7 @@ class Findings:
         whole = cls()
         for part in parts:
             whole.areas = whole.areas + part.areas
+            whole.behind = np.union1d(whole.behind, part.behind)
             for polarization, views in part.dark.items():
                 whole.dark.setdefault(polarization, {}).update(views)
             for remark, named in part.remarks.items():
@@ -98,6 +105,7 @@ class Findings:
     def warnings(self, scene: World) -> list[str]:
         """One sentence for each thing that is to be told."""
         found = _domain_warnings(scene, self.areas) if np.ndim(self.areas) else []
+        found += _behind_warnings(scene, self.behind)
         found += [f"{_views(views)}: {remark}" for remark, views in self.remarks.items()]
         for polarization, views in sorted(self.dark.items()):
             found.append(
@@ -106,6 +114,38 @@ class Findings:
                 f"this model"
             )
         return found
+
+
+def _seen_from_behind(stage: Stage, render: ViewRender) -> NDArray[np.integer]:
+    """The lit faces of the mesh whose corners run clockwise as the radar sees them."""
+    faces = np.unique(render.hits.face.numpy())
+    p0, p1, p2 = (stage.target.corners[corner] for corner in stage.target.faces.numpy()[faces].T)
+    d, v = render.geometry.d, render.geometry.v
+    along, across = ((p0 + p1 + p2) / 3.0 @ axis for axis in (d, v))
+    away = np.multiply.outer(np.ones(faces.size), d)
+    if (slant_range := render.geometry.slant_range_m) is not None:
+        away = np.multiply.outer(slant_range + along, d) + np.multiply.outer(across, v)
+    normal = np.cross(p1 - p0, p2 - p0)
+    toward = (normal * away).sum(axis=1)
+    return faces[toward > GRAZING * np.linalg.norm(normal, axis=1) * np.linalg.norm(away, axis=1)]
+
+
+def _behind_warnings(scene: World, behind: NDArray[np.integer]) -> list[str]:
+    """One sentence for each object, and for each material of the rest, with faces that were seen from behind."""
+    parts = {} if scene.assembly is None else scene.assembly.faces_of(scene.objects)
+    rest = np.setdiff1d(np.arange(len(scene.mesh.faces)), np.concatenate([*parts.values(), np.zeros(0, np.int64)]))
+    of_rest = scene.mesh.face_material[rest]
+    named = {f"object {label}": faces for label, faces in parts.items()}
+    named |= {f"materials.{name}": rest[of_rest == i] for i, name in enumerate(scene.mesh.materials)}
+    found = []
+    for name, faces in named.items():
+        if count := int(np.isin(faces, behind).sum()):
+            found.append(
+                f"{name}: {count} of {len(faces)} faces look away from a radar that sees them. Either they are wound "
+                "the wrong way round, which changes nothing, as both sides reflect; or the body is open, and bounces "
+                "inside of it are counted too"
+            )
+    return found
 
 
 SMALL = "small perturbation (kh < 0.3 and sqrt(2) h / l < 0.3)"

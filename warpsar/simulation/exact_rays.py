@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from warpsar.effects.base.effect import DeclaredEffect
 from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import Rays, effects_grid, view_seed
@@ -21,8 +23,11 @@ class ExactRays(Rays):
         effects: list[DeclaredEffect],
         only_columns: tuple[int, int] | None = None,
         max_memory_gib: float = DEFAULT_MEMORY_GIB,
+        *,
+        only_faces: np.ndarray | None = None,
     ) -> Hits:
-        """As `Rays.trace`. Effects that send rays of their own take the scene's density and seed."""
+        """As `Rays.trace`. Effects that send rays of their own take the scene's density and seed. `only_faces` as in
+        `exact_hits`."""
         return exact_hits(
             self.stage.target,
             geometry_of(scene, view),
@@ -31,4 +36,5 @@ class ExactRays(Rays):
             seed=view_seed(self.seed, [v.name for v in scene.views].index(view.name)),
             pixel_area_m2=scene.grid.pixel_area_m2,
             only_columns=only_columns,
+            only_faces=only_faces,
         )

@@ -58,9 +58,9 @@ class SimulatedView:
     def to_xarray(self) -> xarray.Dataset:
         """The view as an `xarray.Dataset` (extra `xarray`).
 
-        `beta0` and, where there is one, `sampling_variance` have the dimensions azimuth, range and polarization; layers
-        have azimuth and range. `azimuth` and `range` are coordinates [m] about the reference point; a strip-map has
-        `slant_range`, too. The geometry stands in the attributes, under the names of `metadata`.
+        `beta0` and, where there is one, `sampling_variance` have the dimensions range, azimuth and polarization; layers
+        have range and azimuth, as NumPy's arrays have. `range` and `azimuth` are coordinates [m] about the reference
+        point; a strip-map has `slant_range`, too. The geometry stands in the attributes, under the names of `metadata`.
 
         Raises InputError where xarray is missing.
         """
@@ -68,14 +68,20 @@ class SimulatedView:
             import xarray
         except ImportError as error:
             raise InputError('xarray is needed: pip install "warpsar[xarray]"') from error
-        plane = ("azimuth", "range")
-        variables: dict[str, Any] = {"beta0": ((*plane, "polarization"), _stacked(self.beta0), _BETA0)}
+        plane = ("range", "azimuth")
+        variables: dict[str, Any] = {
+            "beta0": ((*plane, "polarization"), np.stack(list(self.beta0.values()), axis=-1), _BETA0)
+        }
         if self.sampling_variance:
             told = {"units": "1", "long_name": "variance of beta0 that the jitter of the rays leaves"}
-            variables["sampling_variance"] = ((*plane, "polarization"), _stacked(self.sampling_variance), told)
+            variables["sampling_variance"] = (
+                (*plane, "polarization"),
+                np.stack(list(self.sampling_variance.values()), axis=-1),
+                told,
+            )
         for name, layer in self.layers.items():
             units, meaning = LAYERS.get(name, ("1", "share of beta0, before the image stage"))
-            variables[name] = (plane, layer.T, {"units": units, "long_name": meaning})
+            variables[name] = (plane, layer, {"units": units, "long_name": meaning})
         coordinates: dict[str, Any] = {
             "azimuth": ("azimuth", self.azimuth_m, _axis("azimuth")),
             "range": ("range", self.range_m, _axis("slant range")),
@@ -95,8 +101,3 @@ _BETA0 = {"units": "1", "long_name": "radar brightness beta0, linear power"}
 
 def _axis(name: str) -> dict[str, str]:
     return {"units": "m", "long_name": f"{name} of the pixel's centre about the reference point"}
-
-
-def _stacked(images: dict[str, np.ndarray]) -> np.ndarray:
-    """(azimuth, range, polarization) of images of shape (range, azimuth) each."""
-    return np.stack([image.T for image in images.values()], axis=-1)

@@ -12,6 +12,7 @@ layers.py        what each layer is: name, unit, words
 result.py        a product's layers together
 summary.py       what they say in a few numbers and words
 comparison.py    measured pixels beside simulated ones, and rivals that know no terrain
+differences.py   what differs between them, as hypotheses with intervals
 files.py         GeoTIFF, NetCDF and Zarr
 figures.py       pictures with axes
 report.py        report.html

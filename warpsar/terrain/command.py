@@ -12,36 +12,29 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from warpsar.errors import InputError, did_you_mean
 from warpsar.formats import registry
 from warpsar.io import figures
 from warpsar.products.product import RADIOMETRIES, Product, Radiometry
 from warpsar.runtime import console, devices
-from warpsar.simulation.materials import sigma0_db
 from warpsar.simulation.outputs import make_folder, write_json
 from warpsar.terrain import files
 from warpsar.terrain.blocks import Box
 from warpsar.terrain.buildings import placed
 from warpsar.terrain.comparison import TerrainComparison, compared
+from warpsar.terrain.differences import TerrainDifferences, differences
 from warpsar.terrain.elevation import Elevation
-from warpsar.terrain.figures import comparison_figure, image_figure, map_figure
+from warpsar.terrain.figures import comparison_figure, differences_figure, image_figure, map_figure
 from warpsar.terrain.landcover import LandCover, table_of
-from warpsar.terrain.report import comparison_words, write_report
+from warpsar.terrain.report import words_of, write_report
 from warpsar.terrain.result import SimulatedProduct, simulated
-from warpsar.terrain.scenery import Scenery
+from warpsar.terrain.scenery import POLARIZATIONS, Scenery, surface_sigma0
 from warpsar.terrain.summary import summary
-from warpsar.world.library.fill import material
 from warpsar.world.library.surfaces import SURFACES
 
-F64 = NDArray[np.float64]
 SURFACE = "grass"
 LANDCOVER_TABLE = "worldcover"
-ANGLES_DEG = np.linspace(0.0, 90.0, 361)
-STEEPEST_DEG, SHALLOWEST_DEG = 1.0, 89.0
-"""Backscatter models are asked between; beyond, they have the outer values."""
-POLARIZATIONS = ("HH", "HV", "VH", "VV")
 
 
 def twin(
@@ -90,15 +83,6 @@ def twin(
         elevation = replace(elevation, highest_m=max(elevation.highest_m, built.highest_m))
     sigma0 = np.stack([surface_sigma0(name, opened) for name in surfaces])
     return simulated(opened, elevation, Scenery(tuple(surfaces), sigma0, cover, built), crop, where)
-
-
-def surface_sigma0(surface: str, product: Product) -> F64:
-    """Linear sigma0 of a surface of the library at equal steps of incidence from 0 to 90 degrees."""
-    angles = np.clip(ANGLES_DEG, STEEPEST_DEG, SHALLOWEST_DEG)
-    polarization = product.polarization if product.polarization in POLARIZATIONS else "VV"
-    hertz = product.frequency_hz
-    found = sigma0_db(material(surface, hertz), polarization, hertz, angles)
-    return np.asarray(10.0 ** (found / 10.0))
 
 
 def _refuse(surface: str, crop: Box | None, radiometry: str | None, polarization: str | None) -> None:
@@ -179,6 +163,9 @@ def run(
     drawn = {"image.png": image_figure(found), "map.png": map_figure(found)}
     if isinstance(against, TerrainComparison):
         drawn["comparison.png"] = comparison_figure(found, against)
+    differs = differences(found)
+    if isinstance(differs, TerrainDifferences):
+        drawn["differences.png"] = differences_figure(found, differs)
     for name, figure in drawn.items():
         figures.save(figure, out / name)
     written += list(drawn)
@@ -191,6 +178,7 @@ def run(
         "blocks": found.blocks,
         **said.content(),
         "comparison": against.content() if isinstance(against, TerrainComparison) else against,
+        "differences": differs.content() if isinstance(differs, TerrainDifferences) else differs,
         "files": [*written, "report.html"],
         "settings": {
             "crop": crop,
@@ -201,9 +189,9 @@ def run(
         },
     }
     content = write_json(out / "twin.json", None, where, None, started, content)
-    write_report(out / "report.html", said, against, drawn, content, command)
+    write_report(out / "report.html", said, against, differs, drawn, content, command)
     console.say_written(out, "report.html", "twin.json", *written)
-    print("\n".join([*said.words, *comparison_words(against)]))
+    print("\n".join([*said.words, *words_of(against), *words_of(differs)]))
     return content
 
 

@@ -77,9 +77,9 @@ def compared(found: SimulatedProduct) -> TerrainComparison | str | None:
     image = found.image
     model = image["beta0"] + image.get("noise", 0.0)
     known = np.isfinite(model) & np.isfinite(image["measured"])
-    cell = _cell(found)
+    cell = cell_of(found)
     simulated, measured = (
-        _cells(np.where(known, power, np.nan), cell) for power in (model, np.asarray(image["measured"]))
+        averaged(np.where(known, power, np.nan), cell) for power in (model, np.asarray(image["measured"]))
     )
     with np.errstate(all="ignore"):
         x, y = (10.0 * np.log10(power) for power in (simulated, measured))
@@ -116,22 +116,23 @@ def compared(found: SimulatedProduct) -> TerrainComparison | str | None:
     )  # fmt: skip
 
 
-def _cell(found: SimulatedProduct) -> tuple[int, int]:
+def cell_of(found: SimulatedProduct) -> tuple[int, int]:
     """Lines and pixels of a cell: as large as a post's, and at least `LEAST_PIXELS` along a side."""
     image = found.image
-    line_m = float(np.nanmedian(image["area_beta"])) / _slant_m(found)
+    line_m = float(np.nanmedian(image["area_beta"])) / abs(slant_step_m(found))
     pixel_m = float(np.nanmedian(image["area_sigma"])) / line_m
     post = float(np.mean(found.elevation.spacing_m))
     lines, pixels = (max(round(post / max(step, 1e-3)), LEAST_PIXELS) for step in (line_m, pixel_m))
     return lines, pixels
 
 
-def _slant_m(found: SimulatedProduct) -> float:
+def slant_step_m(found: SimulatedProduct) -> float:
+    """Of a pixel in the middle; negative where pixels run towards the radar."""
     line, pixel = (0.5 * (a + b - 1) for a, b in (found.window.lines, found.window.pixels))
-    return abs(found.product.grid.slant_step_m(line, pixel))
+    return float(found.product.grid.slant_step_m(line, pixel))
 
 
-def _cells(power: F64, cell: tuple[int, int]) -> F64:
+def averaged(power: F64, cell: tuple[int, int]) -> F64:
     """Means; NaN where less than half of a cell's pixels are known."""
     rows, columns = (n // step for n, step in zip(power.shape, cell, strict=True))
     cut = power[: rows * cell[0], : columns * cell[1]].reshape(rows, cell[0], columns, cell[1])

@@ -9,6 +9,7 @@ import numpy as np
 from warpsar.io import figures
 from warpsar.io.grey_scale import GreyScale, in_decibel
 from warpsar.terrain.comparison import TerrainComparison
+from warpsar.terrain.differences import TerrainDifferences
 from warpsar.terrain.layers import Layer, of_image, of_map
 from warpsar.terrain.result import SimulatedProduct
 
@@ -60,22 +61,43 @@ def map_figure(found: SimulatedProduct) -> Figure:
 
 def comparison_figure(found: SimulatedProduct, against: TerrainComparison) -> Figure:
     """Cells: measured and simulated on one scale about their medians, and the residual."""
+    spread = _spread(against.measured_db - np.nanmedian(against.measured_db))
+    panels = [
+        (f"{name}, less its median [dB]", values - np.nanmedian(values), "gray", spread)
+        for name, values in (("measured", against.measured_db), ("simulated", against.simulated_db))
+    ]
+    panels.append(("residual, less its median [dB]", against.residual_db, "RdBu_r", spread))
+    return _of_cells(found, against.cell, panels)
+
+
+def differences_figure(found: SimulatedProduct, differs: TerrainDifferences) -> Figure:
+    """Cells: measured less the model without and with what was found, on one scale."""
+    spread = _spread(differs.before_db)
+    panels = [
+        (f"measured less model, {name} [dB]", values, "RdBu_r", spread)
+        for name, values in (("before", differs.before_db), ("after", differs.after_db))
+    ]
+    return _of_cells(found, differs.cell, panels)
+
+
+def _spread(values: np.ndarray) -> float:
+    return max(float(np.nanpercentile(np.abs(values), 98)), 1.0)
+
+
+def _of_cells(
+    found: SimulatedProduct, cell: tuple[int, int], panels: list[tuple[str, np.ndarray, str, float]]
+) -> Figure:
+    """Pictures of cells beside each other: title, values, colours, and the scale's end on both sides of 0."""
     lines, pixels = found.window.lines, found.window.pixels
-    rows, columns = against.residual_db.shape
+    rows, columns = panels[0][1].shape
     ends = (
-        pixels[0] - 0.5, pixels[0] - 0.5 + columns * against.cell[1],
-        lines[0] - 0.5 + rows * against.cell[0], lines[0] - 0.5,
+        pixels[0] - 0.5, pixels[0] - 0.5 + columns * cell[1], lines[0] - 0.5 + rows * cell[0], lines[0] - 0.5
     )  # fmt: skip
     aspect = _aspect(found)
     tall = abs(ends[3] - ends[2]) * aspect / abs(ends[1] - ends[0])
-    figure, axes = figures.new(12.6, float(np.clip(2.7 * tall, 1.6, 6.0)) + 0.9, ncols=3)
-    spread = max(float(np.nanpercentile(np.abs(against.measured_db - np.nanmedian(against.measured_db)), 98)), 1.0)
-    panels = (
-        ("measured, less its median [dB]", against.measured_db - np.nanmedian(against.measured_db), "gray"),
-        ("simulated, less its median [dB]", against.simulated_db - np.nanmedian(against.simulated_db), "gray"),
-        ("residual, less its median [dB]", against.residual_db, "RdBu_r"),
-    )
-    for axis, (title, values, colours) in zip(axes, panels, strict=True):
+    width = 4.2 * len(panels)
+    figure, axes = figures.new(width, float(np.clip(2.7 * tall, 1.6, 6.0)) + 0.9, ncols=len(panels))
+    for axis, (title, values, colours, spread) in zip(axes, panels, strict=True):
         drawn = axis.imshow(
             values, cmap=colours, vmin=-spread, vmax=spread, extent=ends, aspect=aspect, interpolation="nearest"
         )

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from warpsar.io import html as report
 from warpsar.terrain.comparison import TerrainComparison
+from warpsar.terrain.differences import TerrainDifferences
 from warpsar.terrain.summary import TwinSummary
 
 if TYPE_CHECKING:
@@ -18,6 +19,7 @@ SAID = {
     "image.png": "On the product's grid: lines downward, pixels to the right. Blue: no ground, or nothing is seen",
     "map.png": "On the map",
     "comparison.png": "Cells of the measured and the simulated image, and what is left, less its median",
+    "differences.png": "Cells of the measured image less the model [dB], without and with what was found",
 }
 LIMITS = (
     "One bounce, surfaces of the library at their median levels. No trees, and no speckle.",
@@ -32,6 +34,7 @@ def write_report(
     path: Path,
     said: TwinSummary,
     against: TerrainComparison | str | None,
+    differs: TerrainDifferences | str | None,
     drawn: Mapping[str, Figure],
     content: dict[str, Any],
     command: Sequence[str],
@@ -39,9 +42,21 @@ def write_report(
     """`content` is that of twin.json, `command` the words that made it."""
     lead = f"warpsar twin {content['version']}; {content['product']}, {content['acquired'][:19]} UTC"
     pictures = {name: report.picture(_png(figure), SAID[name]) for name, figure in drawn.items()}
-    compared = [report.paragraph(_sentence(each)) for each in comparison_words(against)]
+    compared = [report.paragraph(_sentence(each)) for each in words_of(against)]
     if against is not None:
         compared += [pictures.pop("comparison.png")] if "comparison.png" in pictures else []
+    differences = [report.paragraph(_sentence(each)) for each in words_of(differs)]
+    if isinstance(differs, TerrainDifferences):
+        columns = ["hypothesis", "value", "95 %, low", "95 %, high", "unit", "2 ln L on the other half", "named"]
+        rows = [
+            [one.name, f"{one.value:+.2f}", f"{one.low:+.2f}", f"{one.high:+.2f}", one.unit, f"{one.gain:.0f}",
+             "yes" if one.named else "no: expected"]
+            for one in differs.found
+        ]  # fmt: skip
+        differences += [pictures.pop("differences.png")]
+        if rows:
+            differences.append(report.table(columns, rows, "Chosen in half of the squares, confirmed in the other"))
+        differences += [report.paragraph(f"Asked: {', '.join(differs.asked)}.")]
     rows = [[one.name, one.unit, *(f"{value:.4g}" for value in one.percentiles), one.words] for one in said.layers]
     columns = ["layer", "unit", "5 %", "median", "95 %", "what it is"]
     facts = [
@@ -54,6 +69,7 @@ def write_report(
     sections = [
         report.section("In short", *(report.paragraph(_sentence(each)) for each in said.words)),
         *([report.section("Measured beside simulated", *compared)] if compared else []),
+        *([report.section("What differs", *differences)] if differences else []),
         report.section("Pictures", *pictures.values()),
         report.section("Layers", report.table(columns, rows, "Percentiles over the pixels with ground", (5,))),
         report.section("What is left out", report.bullets(LIMITS)),
@@ -63,11 +79,11 @@ def write_report(
     report.write(path, report.page("What the product should show", lead, *sections))
 
 
-def comparison_words(against: TerrainComparison | str | None) -> list[str]:
-    """What the comparison says, a line each; nothing where there is none."""
-    if against is None:
+def words_of(answer: TerrainComparison | TerrainDifferences | str | None) -> list[str]:
+    """What an answer says, a line each; nothing where there is none."""
+    if answer is None:
         return []
-    return [against] if isinstance(against, str) else list(against.words)
+    return [answer] if isinstance(answer, str) else list(answer.words)
 
 
 def _sentence(words: str) -> str:

@@ -7,10 +7,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from warpsar.products.product import Product
+from warpsar.simulation.materials import sigma0_db
 from warpsar.terrain.buildings import TerrainBuildings
 from warpsar.terrain.landcover import LandCover
+from warpsar.world.library.fill import material
 
 F64 = NDArray[np.float64]
+ANGLES_DEG = np.linspace(0.0, 90.0, 361)
+STEEPEST_DEG, SHALLOWEST_DEG = 1.0, 89.0
+"""Backscatter models are asked between; beyond, they have the outer values."""
+POLARIZATIONS = ("HH", "HV", "VH", "VV")
 
 
 @dataclass(frozen=True)
@@ -33,3 +40,12 @@ class Scenery:
         if self.landcover is None:
             return np.zeros((1, 1), np.int32), np.zeros((len(geodetic), 2))
         return self.landcover.around(geodetic)
+
+
+def surface_sigma0(surface: str, product: Product) -> F64:
+    """Linear sigma0 of a surface of the library at equal steps of incidence from 0 to 90 degrees."""
+    angles = np.clip(ANGLES_DEG, STEEPEST_DEG, SHALLOWEST_DEG)
+    polarization = product.polarization if product.polarization in POLARIZATIONS else "VV"
+    hertz = product.frequency_hz
+    found = sigma0_db(material(surface, hertz), polarization, hertz, angles)
+    return np.asarray(10.0 ** (found / 10.0))

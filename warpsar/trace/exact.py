@@ -21,7 +21,11 @@ from warpsar.trace.rays import ray_grid
 from warpsar.trace.target import Target
 from warpsar.world.frame import ViewGeometry
 
+CANDIDATES = (
+    48  # faces in a band of a column, about: its work grows with their square, and that of bands with their number
+)
 SLABS = 4  # of a column, at least: lines where faces run through one another are no events
+FAR = 1e300  # [m]: beyond every elevation
 EDGE_ON = 1e-9  # of a face's longest edge squared: a smaller area across the look direction cannot be seen
 BOW = 4e-3  # of a pixel in range: how far a face about a track may bend away from its plane over (azimuth, elevation)
 
@@ -35,14 +39,16 @@ def exact_hits(
     seed: int = 0,
     pixel_area_m2: float | None = None,
     only_columns: tuple[int, int] | None = None,
+    only_faces: np.ndarray | None = None,
 ) -> Hits:
     """The hits of one view as `trace` gives them, without sampling noise.
 
     `rays_per_m2` and `seed` are those of effects that send rays of their own. About a track, faces are cut until they
-    are flat over (azimuth, elevation) to `BOW` pixels.
+    are flat over (azimuth, elevation) to `BOW` pixels. `only_faces`, shape (faces,): the faces that are there; no other
+    is seen, and none hides anything.
     """
     device, pixel_area = target.device, pixel_area_m2 or grid.pixel_area_m2
-    seen = ProjectedMesh.of(target, geometry, grid)
+    seen = ProjectedMesh.of(target, geometry, grid, only_faces)
     pixel, face, area, points = _merged_hits(
         seen, _covered(seen, grid, only_columns or (0, grid.shape[1]), device), grid
     )
@@ -120,13 +126,19 @@ class ProjectedMesh:
     plane: np.ndarray
 
     @classmethod
-    def of(cls, target: Target, geometry: ViewGeometry, grid: BinGrid) -> ProjectedMesh:
+    def of(
+        cls, target: Target, geometry: ViewGeometry, grid: BinGrid, only_faces: np.ndarray | None = None
+    ) -> ProjectedMesh:
         faces = target.corner_numbers
-        points, corners = target.places_once
-        parent = np.arange(len(faces))
+        if only_faces is None:
+            parent, (points, corners) = np.arange(len(faces)), target.places_once
+        else:
+            parent = np.flatnonzero(only_faces)
+            points, corners = target.places_of(faces[parent])
         along, across = points @ geometry.d, points @ geometry.v
         if geometry.slant_range_m is not None:
-            points, corners, parent = _cut(points, corners, geometry, BOW * grid.spacing_m[0])
+            points, corners, cut = _cut(points, corners, geometry, BOW * grid.spacing_m[0])
+            parent = parent[cut]
             r0 = geometry.slant_range_m
             along, across = points @ geometry.d, points @ geometry.v
             angle = np.arctan2(across, r0 + along)
@@ -208,6 +220,7 @@ class _Covered:
 class ColumnSweep:
     """What one sweep over the columns of a view takes, on the device.
 
+    Every column has the same bands of elevation, as `kernels.coverage.Columns` numbers them: `columns` counts them all.
     `face` are the candidates' faces and `first` where each column's candidates begin; `low` is the first row of each
     candidate's cells, and `start` where its cells begin. `order`, (faces, 3), says which corner of a face comes first,
     second and third by azimuth.
@@ -225,11 +238,21 @@ class ColumnSweep:
     order: np.ndarray
 
     @classmethod
-    def of(cls, seen: ProjectedMesh, grid: BinGrid, columns: tuple[int, int], device: wp.Device) -> ColumnSweep:
+    def of(
+        cls,
+        seen: ProjectedMesh,
+        grid: BinGrid,
+        columns: tuple[int, int],
+        device: wp.Device,
+        limits: np.ndarray | None = None,
+    ) -> ColumnSweep:
+        """`limits` [m] between bands of elevation, ascending; without them a column is one band."""
         rows = grid.shape[0]
         border = grid.start_m[1] + grid.spacing_m[1] * np.arange(columns[0], columns[1] + 1)
-        first, face = _in_columns(seen.azimuth[seen.corners], border, seen.elevation[seen.corners].min(axis=1))
-        events, first_event = _events(seen, border, device)
+        limits = np.zeros(0) if limits is None else limits
+        azimuth, elevation = seen.azimuth[seen.corners], seen.elevation[seen.corners]
+        first, face = _in_columns(azimuth, elevation, border, limits, elevation.min(axis=1))
+        events, first_event = _events(seen, border, limits, device)
         place = (seen.range[seen.corners] - grid.start_m[0]) / grid.spacing_m[0]
         low = np.clip(np.floor(place.min(axis=1)).astype(np.int64) - 1, 0, rows)[face]
         high = np.clip(np.floor(place.max(axis=1)).astype(np.int64) + 2, 0, rows)[face]
@@ -254,10 +277,11 @@ class ColumnSweep:
             first_candidate=_put(first, int, device),
             events=_put(events, wp.float64, device),
             first_event=_put(first_event, int, device),
+            limits=_put(np.concatenate([[-FAR], limits, [FAR]]), wp.float64, device),
         )
         lines = fill(kernels.Rows, count=rows, start=grid.start_m[0], spacing=grid.spacing_m[0])
         room = allocate(kernels.Stretches, len(face), device)
-        return cls(device, len(border) - 1, [faces, within, lines], room, cells, face, first, low, start, order)
+        return cls(device, len(first) - 1, [faces, within, lines], room, cells, face, first, low, start, order)
 
     def run(self, pieces: kernels.Pieces) -> None:
         """Add up the areas in `cells`, and keep the visible `pieces` where they have room."""
@@ -266,13 +290,14 @@ class ColumnSweep:
 
 
 def _covered(seen: ProjectedMesh, grid: BinGrid, columns: tuple[int, int], device: wp.Device) -> _Covered:
-    sweep = ColumnSweep.of(seen, grid, columns, device)
+    limits = _limits(seen, grid, columns)
+    sweep = ColumnSweep.of(seen, grid, columns, device, limits)
     sweep.run(kernels.Pieces())
     cells, first, low, start = sweep.cells, sweep.first, sweep.low, sweep.start
     area = cells.area.numpy()
     lit = np.flatnonzero(area > 0.0)
     candidate = np.searchsorted(start, lit, side="right") - 1
-    column = np.searchsorted(first, candidate, side="right") - 1 + columns[0]
+    column = (np.searchsorted(first, candidate, side="right") - 1) // (len(limits) + 1) + columns[0]
     row = low[candidate] + lit - start[candidate]
     moments = (cells.azimuth.numpy()[lit], cells.elevation.numpy()[lit])
     return _Covered(area[lit], *moments, column, row, sweep.face[candidate])
@@ -282,31 +307,62 @@ def _put(values: np.ndarray, kind: type, device: wp.Device) -> wp.array:
     return wp.array(np.ascontiguousarray(values, np.int32 if kind is int else np.float64), dtype=kind, device=device)
 
 
-def _in_columns(
-    azimuth: np.ndarray, border: np.ndarray, within: np.ndarray | None = None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Which of the elements, whose corners have the azimuths (n, k), reach into each column; `within` sorts them there.
+def _limits(seen: ProjectedMesh, grid: BinGrid, columns: tuple[int, int]) -> np.ndarray:
+    """Elevations [m] that part the columns into bands, each with as many corners as the others, and between corners."""
+    azimuth = seen.azimuth[seen.corners]
+    border = grid.start_m[1] + grid.spacing_m[1] * np.arange(columns[0], columns[1] + 1)
+    first, last = _span(azimuth, border)
+    bands = int(np.maximum(last - first + 1, 0).sum() / (len(border) - 1) / CANDIDATES) + 1
+    reached = seen.corners[last >= first]
+    values = np.unique(seen.elevation[np.unique(reached)])
+    at = np.unique(len(values) * np.arange(1, bands) // bands) if len(values) > bands else np.zeros(0, int)
+    return 0.5 * (values[at - 1] + values[at])
 
-    Where each column's list begins, (columns + 1,), and the lists one after the other.
-    """
+
+def _span(azimuth: np.ndarray, border: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The first and the last column that elements reach into, whose corners have the azimuths (n, k)."""
     columns, spacing = len(border) - 1, border[1] - border[0]
     first = np.clip(np.floor((azimuth.min(axis=1) - border[0]) / spacing).astype(np.int64), 0, columns)
     last = np.clip(np.floor((azimuth.max(axis=1) - border[0]) / spacing).astype(np.int64), -1, columns - 1)
-    counts = np.maximum(last - first + 1, 0)
+    return first, last
+
+
+def _in_columns(
+    azimuth: np.ndarray,
+    elevation: np.ndarray,
+    border: np.ndarray,
+    limits: np.ndarray,
+    within: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Which of the elements, whose corners have the azimuths and elevations (n, k), reach into each band of a column;
+    `within` sorts them there.
+
+    Where each band's list begins, (columns * bands + 1,), and the lists one after the other.
+    """
+    bands = len(limits) + 1
+    first, last = _span(azimuth, border)
+    low, high = (np.searchsorted(limits, ends) for ends in (elevation.min(axis=1), elevation.max(axis=1)))
+    across = high - low + 1
+    counts = np.maximum(last - first + 1, 0) * across
     element = np.repeat(np.arange(len(azimuth)), counts)
-    column = np.arange(len(element)) - np.repeat(np.cumsum(counts) - counts, counts) + first[element]
+    number = np.arange(len(element)) - np.repeat(np.cumsum(counts) - counts, counts)
+    column = (first[element] + number // across[element]) * bands + low[element] + number % across[element]
     order = np.argsort(column, kind="stable") if within is None else np.lexsort((within[element], column))
-    return np.searchsorted(column[order], np.arange(columns + 1)), element[order]
+    return np.searchsorted(column[order], np.arange((len(border) - 1) * bands + 1)), element[order]
 
 
-def _events(seen: ProjectedMesh, border: np.ndarray, device: wp.Device) -> tuple[np.ndarray, np.ndarray]:
-    """Azimuths between which the order of edges stays, by column: the borders, vertices, and crossings."""
-    columns, spacing = len(border) - 1, border[1] - border[0]
+def _events(
+    seen: ProjectedMesh, border: np.ndarray, limits: np.ndarray, device: wp.Device
+) -> tuple[np.ndarray, np.ndarray]:
+    """Azimuths between which the order of edges stays, by band of a column: the borders, vertices, and crossings of
+    edges with each other and with the bands' limits."""
+    bands, spacing = len(limits) + 1, border[1] - border[0]
+    columns = (len(border) - 1) * bands
     edges, outline = _edges(seen)
-    azimuth = seen.azimuth[edges]
-    first, element = _in_columns(azimuth, border)
+    azimuth, elevation = seen.azimuth[edges], seen.elevation[edges]
+    first, element = _in_columns(azimuth, elevation, border, limits)
     own = np.flatnonzero(outline)
-    first_own, own_element = _in_columns(azimuth[own], border)
+    first_own, own_element = _in_columns(azimuth[own], elevation[own], border, limits)
     order = np.take_along_axis(edges, np.argsort(azimuth, axis=1, kind="stable"), axis=1)
     ends = np.stack([seen.azimuth[order], seen.elevation[order], seen.range[order]], axis=-1)
     known = [
@@ -320,6 +376,7 @@ def _events(seen: ProjectedMesh, border: np.ndarray, device: wp.Device) -> tuple
             others=_put(element, int, device),
             first_other=_put(first, int, device),
             border=_put(border, wp.float64, device),
+            bands=bands,
         ),
     ]
     counts = wp.zeros(columns, dtype=int, device=device)
@@ -330,20 +387,49 @@ def _events(seen: ProjectedMesh, border: np.ndarray, device: wp.Device) -> tuple
     if crossings.shape[0]:
         begin = _put(np.cumsum(number) - number, int, device)
         wp.launch(kernels.crossing_kernel, columns, inputs=[*known, begin], outputs=[counts, crossings], device=device)
-    corner = seen.azimuth[np.unique(seen.corners)]
-    corner = corner[(corner > border[0]) & (corner < border[-1])]
-    cuts = border[:-1, None] + spacing * np.arange(SLABS) / SLABS
-    every = np.concatenate([cuts.ravel(), border[1:], corner, crossings.numpy()])
+    places, in_band = (
+        np.concatenate(each) for each in zip(_corners(seen, limits), _passes(seen, edges, limits), strict=True)
+    )
+    inside = (places > border[0]) & (places < border[-1])
+    places, in_band = places[inside], in_band[inside]
+    cuts = np.repeat(border[:-1, None] + spacing * np.arange(SLABS) / SLABS, bands, axis=0)
+    every = np.concatenate([cuts.ravel(), np.repeat(border[1:], bands), places, crossings.numpy()])
     where = np.concatenate(
         [
             np.repeat(np.arange(columns), SLABS),
             np.arange(columns),
-            np.floor((corner - border[0]) / spacing).astype(np.int64),
+            np.floor((places - border[0]) / spacing).astype(np.int64) * bands + in_band,
             np.repeat(np.arange(columns), number),
         ]
     )
     sort = np.lexsort((every, where))
     return every[sort], np.searchsorted(where[sort], np.arange(columns + 1))
+
+
+def _corners(seen: ProjectedMesh, limits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Azimuths of corners, and bands that their faces reach into: there a face's side bends, or its end begins."""
+    elevation = seen.elevation[seen.corners]
+    low, high = (np.searchsorted(limits, ends) for ends in (elevation.min(axis=1), elevation.max(axis=1)))
+    face, band = _each(low, high + 1)
+    bands = len(limits) + 1
+    corner, band = np.divmod(np.unique(seen.corners[face] * bands + band[:, None]), bands)
+    return seen.azimuth[corner], band
+
+
+def _passes(seen: ProjectedMesh, edges: np.ndarray, limits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Azimuths at which edges (n, 2) pass limits between bands, and the band on either side."""
+    a, e = seen.azimuth[edges], seen.elevation[edges]
+    edge, at = _each(np.searchsorted(limits, e.min(axis=1), "right"), np.searchsorted(limits, e.max(axis=1)))
+    share = (limits[at] - e[edge, 0]) / (e[edge, 1] - e[edge, 0])
+    azimuth = a[edge, 0] + share * (a[edge, 1] - a[edge, 0])
+    return np.tile(azimuth, 2), np.concatenate([at, at + 1])
+
+
+def _each(first: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Every number from `first` to before `end` of each element, shape (n,), and the element that it belongs to."""
+    counts = np.maximum(end - first, 0)
+    element = np.repeat(np.arange(len(first)), counts)
+    return element, first[element] + np.arange(len(element)) - np.repeat(np.cumsum(counts) - counts, counts)
 
 
 def _edges(seen: ProjectedMesh) -> tuple[np.ndarray, np.ndarray]:

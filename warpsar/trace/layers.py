@@ -9,7 +9,7 @@ import warp as wp
 from scipy.ndimage import binary_closing
 
 from warpsar.kernels import layers as kernels
-from warpsar.runtime import threads
+from warpsar.runtime import devices, threads
 from warpsar.trace.hits import BinGrid, Hits
 from warpsar.trace.rays import ray_grid
 from warpsar.trace.target import Target
@@ -85,7 +85,7 @@ def launch_layers(
         )
 
     if last > first:
-        wp.load_module(kernels, device=device)
+        devices.load_kernels(device, "layers")
         for _ in threads.ordered([partial(band, begin) for begin in range(first, last, width)], device):
             pass
     return visits.numpy(), hidden.numpy() > 0

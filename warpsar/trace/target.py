@@ -62,8 +62,13 @@ class Target:
 
         Outlines are found by shared edges. Of a mesh in several views they are the same.
         """
-        used, corners = np.unique(self.corners[self.corner_numbers.ravel()], axis=0, return_inverse=True)
-        return used, corners.reshape(-1, 3)
+        return self.places_of(self.corner_numbers)
+
+    def places_of(self, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """`places_once` of some of the faces, the numbers of their corners, shape (m, 3)."""
+        index, corners = np.unique(faces.ravel(), return_inverse=True)
+        used, once = np.unique(self.corners[index], axis=0, return_inverse=True)
+        return used, once.ravel()[corners.ravel()].reshape(-1, 3)
 
     @property
     def bvh(self) -> wp.Mesh:

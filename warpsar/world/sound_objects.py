@@ -22,6 +22,9 @@ def doubled(objects: Sequence[Object]) -> list[str]:
         if one.poses is not None:
             problems.append(f"{key}.poses: found {str(one.poses)!r} in memory; objects.poses.posed gives its bodies")
             continue
+        if one.own_material:
+            problems.append(f"{key}.own_material: found true in memory; a scene file alone makes the material")
+            continue
         first = names.setdefault(one.label, index)
         if first != index:
             problems.append(f"{key}.name: found {one.label!r} again; must differ from objects[{first}]'s")

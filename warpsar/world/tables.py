@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
@@ -99,6 +100,13 @@ class Table(BaseModel):
 
     # pydantic then checks tables inside others by itself, and collects all that is wrong in a file
     __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
+
+    def __repr_args__(self) -> Iterable[tuple[str | None, Any]]:
+        """What is not as by default: in `repr` the rest is noise."""
+        default = {
+            name: field.get_default(call_default_factory=True) for name, field in type(self).model_fields.items()
+        }
+        return [(name, value) for name, value in super().__repr_args__() if value != default.get(str(name))]
 
 
 class Radar(Table):

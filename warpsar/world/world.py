@@ -147,8 +147,8 @@ class World:
                 yield view.mask
         yield from sorted({curve.file for curve in self.curves})
         yield from sorted({curve.mesh for curve in self.curves if curve.mesh is not None})
-        if self.collection is not None and self.collection.trajectory is not None:
-            yield self.collection.trajectory
+        if self.collection is not None:
+            yield from self.collection.files.values()
 
     @cached_property
     def input_hash(self) -> str:
@@ -176,7 +176,7 @@ class World:
         plain: list[Any] = [self.radar, self.grid, self.sampling, self.effects, self.reference_point_m, self.accuracy_m]
         plain += [one.model_dump(exclude={"mesh"}) for one in self.objects]
         plain += [one.model_dump(exclude={"file", "mesh"}) for one in self.curves]
-        plain += [] if self.collection is None else [self.collection.model_dump(exclude={"trajectory"})]
+        plain += [] if self.collection is None else [self.collection.with_files(lambda _: "").model_dump()]
         for name, material in self.materials.items():
             model = registry.get(material.model)
             beside = {"sigma0", "learned_term"} | (registry.own_parameters().keys() - set(model.keys))
@@ -202,6 +202,14 @@ def refuse_without_views(world: World) -> None:
     """Raise InputError where a scene has no view, so that no image of it can be made."""
     if not world.views:
         raise InputError(f"{world.name}: views: found none; an image needs [image] and [[views]]")
+
+
+def lacks_images(world: World, *roles: str) -> InputError:
+    """To raise where no view of these roles has measured images: how to get some."""
+    return InputError(
+        f"{world.name}: views: none with role {' or '.join(roles)} has measured images; warpsar import brings one onto "
+        "a view's grid, and warpsar simulate --looks 4 --declare makes some to try"
+    )
 
 
 def posed(world: W, objects: Sequence[Object]) -> W:

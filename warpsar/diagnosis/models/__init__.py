@@ -1,6 +1,5 @@
 """What the models of a diagnosis share: how one is fitted, and how two are compared.
 
-other_meshes.py  rays through changed meshes
 fit_setup.py     rays and pixels that all fits share
 frozen.py        which pixels are compared
 judge.py         models beside all measured images, test views among them

@@ -33,6 +33,7 @@ POSE: Kind = "object_pose"
 SIZE: Kind = "object_size"
 ABSENT: Kind = "absent_object"
 MISSING: Kind = "missing_object"
+NUMBERS: dict[Kind, int] = {POSE: 4, SIZE: 3, ABSENT: 1}  # that it moves
 SUMMARIES = {
     POSE: "an object of the scene stands elsewhere",
     SIZE: "an object of the scene is of another size",

@@ -13,7 +13,7 @@ Then a phase of 2 pi at the aperture's ends is put into the sharpest image. If n
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal
 
@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from warpsar.diagnosis.phase.fit import POLYNOMIAL, QUADRATIC, SPLINE, PhaseFamily, fitted, weights_fitted
+from warpsar.diagnosis.phase.fit import MOTION, POLYNOMIAL, QUADRATIC, SPLINE, PhaseFamily, fitted, weights_fitted
 from warpsar.diagnosis.phase.spectrum import AzimuthSpectrum, contrast, corrected
 
 F64 = NDArray[np.float64]
@@ -29,7 +29,7 @@ Outcome = Literal["named", "absent", "not testable", "not told", "declared"]
 BLOCKS = 8
 GAP_CELLS = 2.0
 """Between blocks: rows so near share their points."""
-DRAWS = 12
+DRAWS, MOTION_DRAWS = 12, 8
 SURE = 4.0
 """Standard deviations of speckle's own gains that a gain must reach."""
 PROBE_RAD = 2.0 * np.pi
@@ -119,12 +119,15 @@ class _Search:
     def sharpened(self, folds: Sequence[AzimuthSpectrum]) -> list[AzimuthSpectrum]:
         """Each fold with the phase of the other taken off."""
         pairs = zip(folds, reversed(self.each), strict=True)
-        return [lines.turned(-self.family.basis(lines.place) @ found) for lines, found in pairs]
+        return [lines.turned(-self.family.phase(lines, found)) for lines, found in pairs]
 
     def loss(self, probe_rad: float) -> float:
-        """What the contrast of all rows loses to a quadratic error beside what was found, the mean of both signs."""
-        basis, square = self.family.basis(self.lines.place), QUADRATIC.basis(self.lines.place)[:, 0]
-        phase = basis @ self.whole
+        """What the contrast of all rows loses to a quadratic error beside what was found, the mean of both signs; with
+        one that changes with range, to an error of that size at the ends of range."""
+        square = QUADRATIC.basis(self.lines.place)[:, 0]
+        if self.family.aside:
+            square = self.lines.aside[:, None] * square
+        phase = self.family.phase(self.lines, self.whole)
         best = corrected(self.lines, phase).sum()
         worse = [corrected(self.lines, phase + sign * probe_rad * square).sum() for sign in (-1.0, 1.0)]
         return float(best - 0.5 * np.sum(worse))
@@ -132,13 +135,71 @@ class _Search:
 
 def _searched(folds: Sequence[AzimuthSpectrum], family: PhaseFamily) -> _Search:
     one, other = folds
-    both = one.with_spectrum(np.concatenate([one.spectrum, other.spectrum]))
+    both = AzimuthSpectrum.joined(folds)
     each = fitted(one, family), fitted(other, family)
     gain = 0.0
     for lines, coefficients in ((one, each[1]), (other, each[0])):
-        phase = family.basis(lines.place) @ coefficients
+        phase = family.phase(lines, coefficients)
         gain += float((corrected(lines, phase) - corrected(lines, np.zeros_like(phase))).sum())
     return _Search(family, each, fitted(both, family), gain, both)
+
+
+@dataclass(frozen=True)
+class MotionFound:
+    """What complex images of one view say of an error of the track, whose phase changes with range."""
+
+    outcome: Outcome
+    why: str
+    same: tuple[float, ...] = ()
+    """Coefficients of the part that all ranges share, quadratic, cubic, quartic [rad]."""
+    aside: tuple[float, ...] = ()
+    """Of the part that goes with `AzimuthSpectrum.aside`, where that is 1 [rad]."""
+    error: tuple[float, ...] = ()
+    """Half of what the two folds differ, of both parts [rad]."""
+    gain: float = 0.0
+    """Of rows under what the other fold found, beyond that of a phase that all ranges share."""
+    gain_of_speckle: tuple[float, float] = (0.0, 0.0)
+    gain_of_shuffled: float = 0.0
+    """Of the rival: the same numbers, and ranges in another order."""
+    least_rad: float | None = None
+    """The smallest quadratic error at the ends of range, none in their middle, that would have shown."""
+
+
+def asked_of_motion(folds: Sequence[AzimuthSpectrum], seed: int = 0) -> MotionFound:
+    """Whether the phase changes with range, as that of a track error does and that of `phase_error` does not.
+
+    Judged as in `asked`. The rival has as many numbers, and the ranges of its rows in the order of another block.
+    """
+    if min(map(len, folds)) < FEWEST_ROWS or not any(one.aside.any() for one in folds):
+        return MotionFound(
+            "not testable",
+            "look directions of the rows are not known, or the same; slant_range_m of the view says them",
+        )
+    flat, moved = _searched(folds, POLYNOMIAL), _searched(folds, MOTION)
+    random = np.random.default_rng([seed, 6])
+    draws, gains = [], []
+    for _ in range(MOTION_DRAWS):
+        drawn = [one.speckle(random) for one in folds]
+        draws.append(_searched(drawn, MOTION))
+        gains.append(draws[-1].gain - _searched(drawn, POLYNOMIAL).gain)
+    speckle, gain = _moments(gains), moved.gain - flat.gain
+    least = _least(moved, draws, speckle[1])
+    told = partial(MotionFound, gain=gain, gain_of_speckle=speckle, least_rad=least)
+    if least is None:
+        return told("not testable", "an error of 2 pi at the ends of range would not show: no points and no edges tell")
+    if gain - speckle[0] <= SURE * speckle[1]:
+        return told("absent", f"no phase that changes with range; {least:.2g} rad at its ends would have shown")
+    shuffled = [replace(one, aside=np.roll(one.aside, len(one) // 2)) for one in folds]
+    rival = _searched(shuffled, MOTION).gain - flat.gain
+    if gain - rival <= SURE * speckle[1]:
+        return told("not told", "ranges in another order do as well as their own", gain_of_shuffled=rival)
+    error = tuple((0.5 * np.abs(moved.each[0] - moved.each[1])).tolist())
+    same, aside = np.split(moved.whole, 2)
+    why = (
+        f"with a part that goes with the look direction rows that decided nothing gain {gain:.3g} more, speckle "
+        f"{speckle[0]:.2g} +- {speckle[1]:.2g}, and with ranges in another order {rival:.3g}"
+    )
+    return told("named", why, tuple(same.tolist()), tuple(aside.tolist()), error, gain_of_shuffled=rival)
 
 
 def _gain_of_weights(folds: Sequence[AzimuthSpectrum], speckle: Sequence[AzimuthSpectrum]) -> float:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from warpsar.diagnosis.phase.ask import PhaseFound, asked, folds_of
+from warpsar.diagnosis.phase.ask import MotionFound, Outcome, PhaseFound, asked, asked_of_motion, folds_of
 from warpsar.diagnosis.phase.fit import KNOTS
 from warpsar.diagnosis.phase.spectrum import BORDER_CELLS, AzimuthSpectrum
 from warpsar.effects.base.phase import Response
@@ -18,9 +18,11 @@ from warpsar.io import complex_image
 from warpsar.runtime import console
 from warpsar.runtime.busy import busy
 from warpsar.scene.scene import Scene
+from warpsar.world.frame import SPEED_OF_LIGHT
 from warpsar.world.tables import View
 
 EFFECT = "phase_error"
+MOTION_ERROR = "motion_error"
 _POLYNOMIAL = ("quadratic_rad", "cubic_rad", "quartic_rad")
 MOST_SIDE = 2048
 """Rows and columns of an image that are looked at, about its middle."""
@@ -34,16 +36,47 @@ class PhaseAsked:
 
     view: str
     found: PhaseFound
+    motion: MotionFound | None = None
+    """None where nothing could be asked."""
+    aside_m: float | None = None
+    """Track error across the line of sight for each radian of `motion.aside` [m]; None where no range is known."""
+    along_m: float = 0.0
+    """Track error along it for each radian that all ranges share [m]."""
 
     @property
     def named(self) -> bool:
-        return self.found.outcome == "named"
+        """Whether the phase is wrong, by an error of its own or by one of the track."""
+        return self.found.outcome == "named" or self.moved
+
+    @property
+    def moved(self) -> bool:
+        """Whether it changes with range as that of a track error does."""
+        return self.motion is not None and self.motion.outcome == "named"
 
     @property
     def words(self) -> str:
-        """One sentence."""
+        """One or two sentences."""
+        said = self._of_phase()
+        return said if (more := self._of_motion()) is None else f"{said}. {more}"
+
+    def _of_motion(self) -> str | None:
+        one = self.motion
+        if one is None:
+            return None
+        if self.moved and self.aside_m is not None:
+            along, aside = self.along_m * one.same[0], self.aside_m * one.aside[0]
+            what = f"quadratic of {1e3 * along:.3g} mm along the line of sight and {aside:.3g} m across it"
+            return f"{MOTION_ERROR}: named, {what}: {one.why}"
+        if self.found.outcome != "named":
+            return f"{MOTION_ERROR}: {one.outcome}: {one.why}"
+        tied = f"{MOTION_ERROR}: tied: an error of the track along the line of sight gives all ranges this phase, too"
+        if one.least_rad is None or self.aside_m is None:
+            return f"{tied}; whether the phase changes with range cannot be told here"
+        return f"{tied}; one across it would have shown from {one.least_rad * self.aside_m:.3g} m on"
+
+    def _of_phase(self) -> str:
         one = self.found
-        if not self.named:
+        if one.outcome != "named":
             return f"{self.view}: {EFFECT}: {one.outcome}: {one.why}"
         pairs = [f"{value:.3g} +- {error:.2g}" for value, error in zip(one.coefficients, one.error, strict=True)]
         what = f"{one.family} of {', '.join(pairs)} rad"
@@ -57,10 +90,16 @@ class PhaseAsked:
 
     def content(self) -> dict[str, Any]:
         """For diagnosis.json."""
-        return {"view": self.view, **asdict(self.found)}
+        motion = None
+        if self.motion is not None:
+            scales = {"along_m": self.along_m, "aside_m": self.aside_m}
+            motion = {**asdict(self.motion), **scales, "tied": self.found.outcome == "named" and not self.moved}
+        return {"view": self.view, **asdict(self.found), "motion": motion}
 
     def table(self) -> dict[str, Any]:
-        """What `[effects.phase_error]` says of the view."""
+        """What `[effects.phase_error]` says of the view: of a track error the part that all ranges share."""
+        if self.moved and self.motion is not None:
+            return dict(zip(_POLYNOMIAL, (round(value, 4) for value in self.motion.same), strict=True))
         numbers = [round(float(value), 4) for value in self.found.coefficients]
         if self.found.family == "spline":
             assert len(numbers) == KNOTS - 2
@@ -79,33 +118,55 @@ def ask_phase(scene: Scene) -> list[PhaseAsked]:
         if not view.slc:
             continue
         with busy(f"{view.name}: phase over slow time"):
-            found.append(PhaseAsked(view.name, _asked(scene, view)))
+            found.append(_asked(scene, view))
         console.say(found[-1].words)
     return found
 
 
-def _asked(scene: Scene, view: View) -> PhaseFound:
+def _asked(scene: Scene, view: View) -> PhaseAsked:
+    def nothing(outcome: Outcome, why: str) -> PhaseAsked:
+        return PhaseAsked(view.name, PhaseFound(outcome, why))
+
     if EFFECT in scene.effects:
-        return PhaseFound("declared", "the scene file declares it")
+        return nothing("declared", "the scene file declares it")
     widths = [one.effect.response(one.values, one.settings) for one in declared(scene, view)]
     cells = _cells(widths)
     if cells is None:
-        return PhaseFound("not testable", "no effects.point_spread says how wide the aperture is")
+        return nothing("not testable", "no effects.point_spread says how wide the aperture is")
     folds: list[list[AzimuthSpectrum]] = [[], []]
     for polarization, path in view.slc.items():
         image, range_m, azimuth_m = complex_image.read(path, polarization)
         spacing = (float(range_m[1] - range_m[0]), float(azimuth_m[1] - azimuth_m[0]))
-        image = _middle(image)
+        image, range_m = _middle(image), _middle(range_m[:, None])[:, 0]
         if spacing[1] > cells[1]:
             why = f"samples are {spacing[1]:.3g} m apart in azimuth, and a cell is {cells[1]:.3g} m: the phase is lost"
-            return PhaseFound("not testable", why)
+            return nothing("not testable", why)
         if image.shape[1] * spacing[1] < 2 * _MARGINS * BORDER_CELLS * cells[1]:
-            return PhaseFound("not testable", f"its rows are shorter than {2 * _MARGINS * BORDER_CELLS} cells")
+            return nothing("not testable", f"its rows are shorter than {2 * _MARGINS * BORDER_CELLS} cells")
+        aside = _aside(scene, view, range_m)
+        widest = 0.0 if aside is None else float(np.abs(aside).max())
+        told = np.zeros(len(image)) if aside is None or not widest else aside / widest
         known = np.where(np.isfinite(image), image, 0.0).astype(np.complex64)
         for fold, mask in zip(folds, folds_of(len(known), spacing[0], cells[0]), strict=True):
-            fold.append(AzimuthSpectrum.of(known[mask], spacing, cells))
-    joined = [one[0].with_spectrum(np.concatenate([each.spectrum for each in one])) for one in folds]
-    return asked(joined, seed=scene.sampling.seed)
+            fold.append(AzimuthSpectrum.of(known[mask], spacing, cells, told[mask]))
+    joined, seed = [AzimuthSpectrum.joined(one) for one in folds], scene.sampling.seed
+    found = asked(joined, seed=seed)
+    if found.outcome == "not testable":
+        return PhaseAsked(view.name, found)
+    metre = SPEED_OF_LIGHT / (4.0 * np.pi * (view.frequency_hz or scene.radar.frequency_hz))
+    motion = asked_of_motion(joined, seed=seed)
+    return PhaseAsked(view.name, found, motion, metre / widest if widest else None, metre)
+
+
+def _aside(scene: Scene, view: View, range_m: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """Sine of the angle between the look direction at ranges about the reference point (n,) and that of the reference
+    point, over level ground; None where no slant range is known."""
+    slant = scene.slant_range_m(view)
+    if slant is None:
+        return None
+    incidence = np.deg2rad(view.incidence_deg)
+    level = slant * np.cos(incidence) / np.maximum(slant + range_m, slant * np.cos(incidence))
+    return np.asarray(np.sin(np.arccos(level) - incidence))
 
 
 def _cells(widths: list[Response]) -> tuple[float, float] | None:
@@ -116,7 +177,7 @@ def _cells(widths: list[Response]) -> tuple[float, float] | None:
     return None
 
 
-def _middle(image: NDArray[np.complex64]) -> NDArray[np.complex64]:
+def _middle(image: NDArray[Any]) -> NDArray[Any]:
     """At most `MOST_SIDE` rows and columns."""
     starts = [max(0, (side - MOST_SIDE) // 2) for side in image.shape]
     return image[starts[0] : starts[0] + MOST_SIDE, starts[1] : starts[1] + MOST_SIDE]
@@ -135,5 +196,6 @@ def with_phase_errors(scene: Scene, found: list[PhaseAsked]) -> Scene:
 
 
 def named_in(found: list[PhaseAsked]) -> list[str]:
-    """For the verdict: the effect, where any view has it."""
-    return [EFFECT] if any(one.named for one in found) else []
+    """For the verdict: what any view has."""
+    both = {EFFECT: any(one.named and not one.moved for one in found), MOTION_ERROR: any(one.moved for one in found)}
+    return [name for name, there in both.items() if there]

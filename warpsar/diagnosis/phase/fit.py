@@ -25,6 +25,8 @@ class PhaseFamily:
 
     name: str
     columns: int
+    aside: bool = False
+    """Whether as many further coefficients change it with range, in proportion to `AzimuthSpectrum.aside`."""
 
     def basis(self, place: F64) -> F64:
         """(frequencies, columns), less what is linear in place: that moves the image and sharpens nothing."""
@@ -35,10 +37,33 @@ class PhaseFamily:
         line = np.stack([np.ones_like(place), place], axis=1)
         return np.asarray(found - line @ np.linalg.lstsq(line, found, rcond=None)[0])
 
+    def phase(self, lines: AzimuthSpectrum, coefficients: F64) -> F64:
+        """(frequencies,), or (rows, frequencies) where it changes with range [rad]."""
+        basis = self.basis(lines.place)
+        if not self.aside:
+            return np.asarray(basis @ coefficients)
+        same, other = np.split(np.asarray(coefficients), 2)
+        return np.asarray(basis @ same + lines.aside[:, None] * (basis @ other))
+
+    def back(self, lines: AzimuthSpectrum, slope: F64) -> F64:
+        """The derivative with the coefficients of one with the phase: the adjoint of `phase`."""
+        basis = self.basis(lines.place)
+        if not self.aside:
+            return np.asarray(basis.T @ slope)
+        return np.concatenate([basis.T @ slope.sum(axis=0), basis.T @ (lines.aside @ slope)])
+
+    def scale(self, lines: AzimuthSpectrum) -> F64:
+        """What one radian of phase, rms, is of each coefficient."""
+        one = np.sqrt((self.basis(lines.place) ** 2).mean(axis=0))
+        if not self.aside:
+            return np.asarray(one)
+        return np.concatenate([one, one * max(float(np.sqrt((lines.aside**2).mean())), 1e-12)])
+
 
 QUADRATIC = PhaseFamily("quadratic", 1)
 POLYNOMIAL = PhaseFamily("polynomial", len(POWERS))
 SPLINE = PhaseFamily("spline", KNOTS - 2)
+MOTION = PhaseFamily("motion", len(POWERS), aside=True)
 
 
 def fitted(lines: AzimuthSpectrum, family: PhaseFamily) -> F64:
@@ -51,11 +76,12 @@ def fitted(lines: AzimuthSpectrum, family: PhaseFamily) -> F64:
     tried = np.arange(-MOST_RAD, MOST_RAD + 0.5 * STEP_RAD, STEP_RAD)
     told = [float(contrast(lines, np.exp(-1j * q * square)).mean()) for q in tried]
     to_basis = np.linalg.lstsq(basis, square, rcond=None)[0]
-    scale = np.sqrt((basis**2).mean(axis=0))
+    scale = family.scale(lines)
+    to_basis = np.concatenate([to_basis, np.zeros(len(scale) - len(to_basis))])
 
     def cost(x: F64) -> tuple[float, F64]:
-        value, slope = mean_contrast_and_slope(lines, basis @ (x / scale))
-        return -value, -(basis.T @ slope) / scale
+        value, slope = mean_contrast_and_slope(lines, family.phase(lines, x / scale))
+        return -value, -family.back(lines, slope) / scale
 
     best = [tried[i] * to_basis * scale for i in np.argsort(told)[-_STARTS:]]
     found = [minimize(cost, x, jac=True, method="L-BFGS-B", options={"maxiter": 30}) for x in best]

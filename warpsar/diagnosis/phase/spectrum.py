@@ -9,6 +9,7 @@ ground has the same distribution under any phase: there the contrast says nothin
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -42,10 +43,17 @@ class AzimuthSpectrum:
     """Columns that count."""
     window: tuple[int, int]
     """Rows and columns of the window."""
+    aside: F64
+    """Of each row, (rows,): the sine of the angle between its look direction and that of the reference point, over the
+    largest of the image, -1 to 1. 0 where it is not known."""
 
     @classmethod
     def of(
-        cls, image: NDArray[np.complex64], spacing_m: tuple[float, float], cells_m: tuple[float, float]
+        cls,
+        image: NDArray[np.complex64],
+        spacing_m: tuple[float, float],
+        cells_m: tuple[float, float],
+        aside: F64 | None = None,
     ) -> AzimuthSpectrum:
         """Of an image (rows, columns), zero where nothing was measured. `cells_m`: of the whole band in range, and of
         the whole aperture in azimuth, whose band is 1 / cell. Rows without power are left out."""
@@ -54,9 +62,12 @@ class AzimuthSpectrum:
         place = -2.0 * cells_m[1] * fft.fftfreq(length, spacing_m[1])
         index = np.flatnonzero(np.abs(place) <= 1.0)
         found = fft.fft(image, length, axis=1)[:, index].astype(np.complex64)
-        found = found[(np.abs(found) ** 2).sum(axis=1) > 0.0]
+        some = (np.abs(found) ** 2).sum(axis=1) > 0.0
+        found, told = found[some], np.zeros(len(image)) if aside is None else aside
         rows, columns = (2 * int(0.5 * WINDOW_CELLS * c / s) + 1 for c, s in zip(cells_m, spacing_m, strict=True))
-        return cls(found, place[index], index, length, slice(border, image.shape[1] - border), (rows, columns))
+        return cls(
+            found, place[index], index, length, slice(border, image.shape[1] - border), (rows, columns), told[some]
+        )
 
     def __len__(self) -> int:
         return len(self.spectrum)
@@ -64,8 +75,14 @@ class AzimuthSpectrum:
     def with_spectrum(self, spectrum: NDArray[np.complex64]) -> AzimuthSpectrum:
         return replace(self, spectrum=spectrum)
 
+    @staticmethod
+    def joined(parts: Sequence[AzimuthSpectrum]) -> AzimuthSpectrum:
+        """The rows of all, one part after the other."""
+        both = parts[0].with_spectrum(np.concatenate([one.spectrum for one in parts]))
+        return replace(both, aside=np.concatenate([one.aside for one in parts]))
+
     def turned(self, phase: F64) -> AzimuthSpectrum:
-        """With a phase (frequencies,) [rad] added."""
+        """With a phase (frequencies,) or (rows, frequencies) [rad] added."""
         return self.with_spectrum(self.spectrum * np.exp(1j * phase).astype(np.complex64))
 
     def speckle(self, random: np.random.Generator) -> AzimuthSpectrum:
@@ -78,7 +95,7 @@ class AzimuthSpectrum:
         return self.with_spectrum((fft.ifft(weights * fft.fft(drawn, axis=0), axis=0) * along).astype(np.complex64))
 
     def image(self, factor: NDArray[Any]) -> NDArray[np.complex64]:
-        """The samples of the rows, their spectrum times a factor (frequencies,)."""
+        """The samples of the rows, their spectrum times a factor (frequencies,), or one of each row."""
         whole = np.zeros((len(self), self.length), np.complex64)
         whole[:, self.index] = self.spectrum * factor.astype(np.complex64)
         found: NDArray[np.complex64] = fft.ifft(whole, axis=1)
@@ -99,6 +116,8 @@ def corrected(lines: AzimuthSpectrum, phase: F64) -> F64:
 def mean_contrast_and_slope(lines: AzimuthSpectrum, phase: F64) -> tuple[float, F64]:
     """The mean over the rows with a phase taken off, and its derivative with the phase at each frequency.
 
+    The derivative is (frequencies,), or (rows, frequencies) where each row has a phase of its own.
+
     The adjoint takes one transform forward and one back, however many numbers the phase has.
     """
     factor = np.exp(-1j * phase)
@@ -108,8 +127,8 @@ def mean_contrast_and_slope(lines: AzimuthSpectrum, phase: F64) -> tuple[float, 
     of_smooth = np.zeros(field.shape, np.float32)
     of_smooth[:, lines.inside] = (1.0 / mean[:, None] - 1.0 / smooth) / smooth.size
     back = fft.fft((2.0 * _over_window(lines, of_smooth)) * field, axis=1)[:, lines.index] / lines.length
-    slope = (back.conj() * (lines.spectrum * factor)).imag.sum(axis=0)
-    return float(value.mean()), np.asarray(slope, np.float64)
+    slope = (back.conj() * (lines.spectrum * factor)).imag
+    return float(value.mean()), np.asarray(slope if phase.ndim == 2 else slope.sum(axis=0), np.float64)
 
 
 def _smoothed(lines: AzimuthSpectrum, power: NDArray[np.float32]) -> tuple[F64, F64]:

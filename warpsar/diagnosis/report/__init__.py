@@ -5,8 +5,6 @@ first.py      its first screen: the verdict, a picture before and after
 law.py        the learned law of backscatter, drawn
 left.py       what is left
 next_step.py  what to do next
-objects.py    objects before and after
-phase.py      what the phase of complex images says
 summary.py    the answer
 surface.py    parameters before and after
 turns.py      a turn

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from scipy.ndimage import convolve
 
 from warpsar.compare.comparison import Comparison
 from warpsar.diagnosis.found import EffectRival
@@ -14,13 +13,20 @@ from warpsar.diagnosis.models.names import kind_of, object_of
 from warpsar.diagnosis.report.next_step import Step, next_steps, refuted
 from warpsar.diagnosis.result import Diagnosed
 from warpsar.effects.registry import get
-from warpsar.evaluation.report_parts import beta0_rgb, image_axes, reach_db, residual_rgb, residual_scale
+from warpsar.evaluation.report_parts import (
+    SMOOTHED,
+    averaged_ratio_db,
+    beta0_rgb,
+    image_axes,
+    reach_db,
+    residual_rgb,
+    residual_scale,
+)
 from warpsar.io import html as report
 from warpsar.io import html_image
 from warpsar.simulation.rays import covered_in
 from warpsar.surface.stage import Stage
 
-SMOOTHED = 3  # pixels on a side over which powers are averaged, so that speckle hides less
 PERCENT = 99.0  # of the compared pixels that the scale of the residual holds
 REACH_SD = 4.0  # of a residual in standard deviations
 
@@ -145,20 +151,3 @@ def _pictures(done: Diagnosed, number: int) -> str:
         for name, rgb in (coloured | dict(zip(powers, greys, strict=True))).items()
     ]
     return report.row(*pictures, across=3) + report.row(residual_scale(reach, label, unit), key, across=3)
-
-
-def averaged_ratio_db(image: Comparison, dark: bool = False) -> np.ndarray:
-    """Measured over modelled power [dB], each averaged over `SMOOTHED` pixels on a side, shape (rows, cols).
-
-    Infinite where one of them has no power; NaN where both have none, or nothing is compared: off the lit surface by
-    more than a few pixels, unless `dark`.
-    """
-    mask = image.usable if dark else image.usable & ~image.seen.dark
-    box = np.ones((SMOOTHED, SMOOTHED))
-    measured, modelled = (
-        convolve(np.where(mask, np.maximum(np.nan_to_num(one), 0.0), 0.0).astype(float), box, mode="constant")
-        for one in (image.measured, image.simulated)
-    )
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = 10.0 * np.log10(measured / modelled)
-    return np.where(mask, ratio, np.nan)

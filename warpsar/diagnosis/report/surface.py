@@ -28,8 +28,9 @@ def parameters_section(done: Diagnosed, moves: Sequence[ParameterMove], content:
         rows.append(row)
     head = ["parameter", "before", "after", "move (ln)", "in standard deviations"]
     caption = (
-        "In brackets: before, one standard deviation; after, the 95 % interval by the profile of the likelihood, from "
-        "the speckle that was found; open or –: the data do not determine it alone."
+        "In brackets: before, one standard deviation; after, the 95 % interval by the profile of the likelihood over "
+        "all surfaces, from the speckle that was found. Open: every value that a fit may take fits. –: not determined "
+        "alone."
     )
     blocks = []
     if done.diagnosis.final.scene.effects:

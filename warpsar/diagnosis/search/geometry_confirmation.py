@@ -67,6 +67,7 @@ def views_left_out(
     exact = Exact.of(setup, fitted)
     lacking, end = exact.settled(still(without.scene), flat=ENOUGH)
     free, own = _freed(declared, fitted.scene, name), own_material(declared, fitted.scene, object_of(name))
+    all_views: PosedProblem | None = None
     seen, gains = [], []
     for view in names:
         scene = still(fitted.scene)
@@ -79,7 +80,9 @@ def views_left_out(
             continue
         if next(freed(free), None) is not None:
             others = exact.problem(free, [each for each in names if each != view])
-            known = descend(others, others.x0, most=MOST_STEPS, flat=ENOUGH)
+            all_views = all_views or exact.problem(free)
+            others.begin_with(all_views)
+            known = descend(others, others.x0, most=MOST_STEPS, flat=ENOUGH, near=True)
             there = others.geometry.at(known.x[others.size :])
             scene = like_sensor(scene, there)
             scene = scene if scene.assembly is None else posed(scene, there.objects)
@@ -115,7 +118,7 @@ def _by_halves(
     afters = [after.copy() for _, after in exact.images(settled, there.x, view)]
     for half in (0, 1):
         own = exact.problem(free, [view], half=half)
-        angle = own.geometry.at(descend(own, own.x0, flat=ENOUGH).x)
+        angle = own.geometry.at(descend(own, own.x0, flat=ENOUGH, near=True).x)
         other = exact.problem(like_sensor(whole, angle))
         for (seen, _), into, (_, mu) in zip(befores, afters, exact.images(other, there.x, view), strict=True):
             judged = ~column_blocks(seen, half)[seen.interior]

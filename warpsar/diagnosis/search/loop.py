@@ -7,10 +7,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from warpsar.diagnosis.dark.evidence import Dark, worth_a_refit
 from warpsar.diagnosis.found import Candidate, DiagnoseOptions, EffectRival, Turn
 from warpsar.diagnosis.models.all_pixels import lit_shadows
-from warpsar.diagnosis.models.change import changes, is_geometry
+from warpsar.diagnosis.models.change import NUMBERS, POSE, SIZE, changes, is_geometry
 from warpsar.diagnosis.models.effect_gain import EffectGain
 from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.judge import Judge
@@ -18,6 +20,7 @@ from warpsar.diagnosis.models.names import object_of
 from warpsar.diagnosis.models.refit import Fitted, narrow, on_bounded_ground, refit_as, settle
 from warpsar.diagnosis.models.sensor import found_sensor, is_sensor
 from warpsar.diagnosis.scores.evidence import Evidence
+from warpsar.diagnosis.scores.score import minus_log_p
 from warpsar.diagnosis.scores.templates import Template
 from warpsar.diagnosis.search.confirmation import Confirmation, confirm
 from warpsar.diagnosis.search.last_resort import learned_law
@@ -26,15 +29,14 @@ from warpsar.diagnosis.search.record import SearchRecord
 from warpsar.diagnosis.turn.addition import TOO_LITTLE, add_the_best
 from warpsar.diagnosis.turn.geometry_search import Screened, geometry_candidates, screened_bodies, worth_fits
 from warpsar.diagnosis.turn.geometry_trial import add_the_likeliest, on_its_ground, posed_anew, with_all_anew
-from warpsar.diagnosis.turn.pruning import prune, trimmed, with_smaller
+from warpsar.diagnosis.turn.pruning import prune, resettled, trimmed, with_smaller
 from warpsar.diagnosis.turn.rivals import rivals_of
 from warpsar.diagnosis.turn.scoring import score_effects
 from warpsar.diagnosis.turn.screening import NO_DARK
 from warpsar.diagnosis.turn.sensor_search import Hypothesis, screened_sensor, sensor_candidates, worth_a_fit
-from warpsar.diagnosis.turn.settings import resettled
 from warpsar.diagnosis.turn.shortlist import by_rank, refits
 from warpsar.effects.registry import get
-from warpsar.errors import InputError
+from warpsar.errors import NothingLitError
 from warpsar.learning.pose_search import FoundPoses
 from warpsar.runtime import console, once
 from warpsar.runtime.deadline import TimeUp, deadline
@@ -42,7 +44,8 @@ from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import Rays
 
 FAR_AHEAD = 3.0  # times the largest score of an effect (2 ln L): geometry that gains more has few rivals fitted
-NEAR_BEST = 0.5  # of the best score (-ln p), from which on an effect is one of those few
+NEAR_BEST = 0.5  # of the best score (-ln p), or of what is foretold, from which on an effect is one of those few
+FAR_BELOW = 0.04  # of what geometry is foretold to gain: an effect that scores less (2 ln L) is none of them
 SENSOR_BEHIND = 0.5  # of what the best body is foretold: angles and spacings below it are not fitted
 CHANCES = 2  # how often one effect may be added: what is taken back may hold once something else was found
 
@@ -142,7 +145,7 @@ class Search:
         """
         try:
             images = self._judge(scene, "train")
-        except InputError:
+        except NothingLitError:
             return False
         found = set(self._judge.judgement(images).findings)
         return bool(once.decide(float("edges" not in found and bool({"structure", "level"} & found))))
@@ -233,15 +236,15 @@ class Search:
             price = evidence.price()
             # geometry puts no power where nothing is lit: what the dark pixels need is added first
             geometry = options.bodies and not dark.asks
-            quiet = geometry and not (passing or turn.alarms or once.decide(float(self._displaced(here))))
-            geometry = geometry and not (quiet and not self._has_moved)
-            sensor = screened_sensor(self.scene, setup, here) if geometry and not quiet else []
-            bodies = screened_bodies(self.scene, setup, here) if geometry and not quiet else []
+            alarm = bool(passing or turn.alarms) or bool(once.decide(float(geometry and self._displaced(here))))
+            sensor, shifts = screened_sensor(self.scene, setup, here) if geometry else ([], 0.0)
+            # a body that is not there leaves a shadow that measures power, and edges: no quiet scene has one
+            bodies = screened_bodies(self.scene, setup, here, absent=alarm) if geometry else []
+            if not alarm and not _promising(sensor, bodies, evidence.area, turn.threshold):
+                sensor, bodies, geometry = [], [], geometry and self._has_moved
             foretold = max([0.0, *(one.foretold for one in sensor), *(one.most for one in bodies)])
             if 2.0 * foretold > FAR_AHEAD * max((c.statistic for c in allowed), default=0.0):
-                # beside what moves things, the likeliest effects alone: a score is no gain, and may be far below it
-                near = NEAR_BEST * max((c.minus_log_p for c in allowed), default=0.0)
-                allowed = [c for c in allowed if c.minus_log_p >= near or get(c.effect).sets_positions]
+                allowed = _beside_geometry(allowed, foretold, shifts)
             for some in [allowed] if dark.asks else by_rank(allowed):
                 if turn.added is None:
                     found = refits(setup, here, self.scene, some, templates, dark, options.refits)
@@ -374,6 +377,30 @@ def needed(without: Fitted, name: str) -> bool:
     """Whether the dark pixels ask a model without an effect for it."""
     dark = Dark.of(without)
     return dark.asks and dark.answered_by(name)
+
+
+def _beside_geometry(allowed: Sequence[Candidate], foretold: float, shifts: float) -> list[Candidate]:
+    """The effects that are fitted in a turn in which a change of geometry is `foretold` far more: the likeliest ones,
+    as a score is no gain and may be far below it, and those that shift images, if `shifts` may gain as much."""
+    near = NEAR_BEST * max((c.minus_log_p for c in allowed), default=0.0)
+    found = []
+    for candidate in allowed:
+        if get(candidate.effect).stage == "position":
+            worth = shifts >= NEAR_BEST * foretold
+        else:
+            worth = candidate.minus_log_p >= near and candidate.statistic >= FAR_BELOW * 2.0 * foretold
+        found += [candidate] if worth else []
+    return found
+
+
+def _promising(sensor: Sequence[Hypothesis], bodies: Sequence[Screened], area: float, threshold: float) -> bool:
+    """Whether what any change of geometry is foretold to gain is more than speckle of a correlation `area` would have
+    it: over the `threshold` of -ln p, for all that are asked (Wilks, Bonferroni). Blurred images are the less
+    sensitive to speckle, so that this is hardly ever so by chance."""
+    asked = [(one.foretold, len(one.parameters)) for one in sensor]
+    asked += [pair for one in bodies for pair in ((one.moved, NUMBERS[POSE]), (one.resized, NUMBERS[SIZE]))]
+    scores = [float(minus_log_p(np.array(2.0 * max(gain, 0.0) / area), size, 0)) for gain, size in asked]
+    return bool(max(scores, default=0.0) - np.log(max(len(asked), 1)) > threshold)
 
 
 def _say(turn: Turn, number: int, passing: Sequence[Candidate]) -> None:

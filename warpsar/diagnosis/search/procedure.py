@@ -26,6 +26,7 @@ from warpsar.scene.scene import Scene
 from warpsar.simulation.sampling import choose_density
 from warpsar.surface.stage import Stage
 from warpsar.world.tables import View
+from warpsar.world.world import lacks_images
 
 MU_NOISE = 10.0  # looks x pixels x relative sampling variance of mu: the gain in 2 ln L that denoising mu could bring
 
@@ -111,8 +112,7 @@ def with_looks(setup: FitSetup, scene: Scene) -> FitSetup:
 
 def _training(scene: Scene, device: wp.Device) -> tuple[Stage, list[View], list[float]]:
     """What is tested: the surface, the training views and their looks."""
-    stage = Stage.of(scene, device)
     views = [view for view in scene.views if view.role == "train" and view.images]
     if not views:
-        raise InputError(f"{scene.name}: views: none with role train has measured images")
-    return stage, views, [looks_of(scene, view) for view in views]
+        raise lacks_images(scene, "train")
+    return Stage.of(scene, device), views, [looks_of(scene, view) for view in views]

@@ -6,9 +6,8 @@ signature.py         whether an effect's name is earned
 survey.py            where a fit begins whose loss has several valleys
 shortlist.py         which candidates get a full fit
 screening.py         short fits of one candidate, given up where they fall far behind
-settings.py          which settings the added effects have beside all the others
 addition.py          which refitted candidate is added on trial
-pruning.py           what is needless beside the rest of a model
+pruning.py           what is needless beside the rest of a model, and other settings
 rivals.py            which other effect would have done as well
 geometry_search.py   which changes of geometry are worth a comparison with effects
 sensor_search.py     which angles and spacings may be wrong

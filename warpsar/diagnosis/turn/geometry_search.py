@@ -27,21 +27,23 @@ from warpsar.diagnosis.models.change import (
 )
 from warpsar.diagnosis.models.effect_gain import FAR_BEHIND, EffectGain
 from warpsar.diagnosis.models.fit_setup import FitSetup
-from warpsar.diagnosis.models.movable import bodies, disjoint, freed, placeable, sized
+from warpsar.diagnosis.models.movable import POSE_WORDS, bodies, disjoint, freed, placeable, sized
 from warpsar.diagnosis.models.refit import BOUND, Fitted
 from warpsar.diagnosis.proposals.search import missing_objects
 from warpsar.effects.registry import get
 from warpsar.learning.geometry import still
 from warpsar.learning.pose import PosedProblem, foretold_gain, without_shading
-from warpsar.learning.pose_search import SEARCH_BLUR_M, find_poses
+from warpsar.learning.pose_search import SEARCH_BLUR_M, FoundPoses, PoseSearch, search_poses
 from warpsar.runtime import once
 from warpsar.scene.placing import with_objects
 from warpsar.scene.scene import Scene
 from warpsar.world.objects.pose import foot
+from warpsar.world.objects.table import Learnable
 from warpsar.world.sound_objects import misplaced, surfaces_at
 
 TOGETHER = 16  # bodies of one screening problem: seven columns each, on all pixels
 FITTED = 2  # of the screened poses and sizes, how many bodies are fitted
+FAR_BEHIND_OTHERS = 0.8  # of what the best search gains on blurred images: one that gains less is not fitted to its end
 SAME_IMAGES = 3.0  # of ln L: two readings of one body that differ by less explain the images alike
 
 Source = Callable[[FitSetup, Fitted, float, float], list[GeometryCandidate]]
@@ -64,9 +66,9 @@ class Screened:
         return max(self.moved, self.resized, self.absent)
 
 
-def screened_bodies(declared: Scene, setup: FitSetup, here: Fitted) -> list[Screened]:
+def screened_bodies(declared: Scene, setup: FitSetup, here: Fitted, *, absent: bool = True) -> list[Screened]:
     """`screening` of all bodies, as the first process finds it."""
-    return once.find(lambda: screening(declared, Exact.of(setup, here), here))
+    return once.find(lambda: screening(declared, Exact.of(setup, here), here, absent=absent))
 
 
 def geometry_candidates(
@@ -105,15 +107,15 @@ def moved_or_absent(
 
     One that is behind the best effect is not fitted; the next turn tries it again.
     """
-    kinds: dict[str, list[Kind]] = {}
-    for kind, label in worth_fits(screened, price, effect_gain):
-        kinds.setdefault(label, []).append(kind)
+    worth = worth_fits(screened, price, effect_gain)
+    searches = {one: _searched(declared, setup, here, *one) for one in worth if one[0] != ABSENT}
+    least = FAR_BEHIND_OTHERS * max((one.gain for one in searches.values() if one is not None), default=0.0)
     found = []
-    for label, asked in kinds.items():
-        moved = _moved(declared, setup, here, label) if POSE in asked else []
-        resized = _resized(setup, here, label) if SIZE in asked else []
-        found += _one_reading(moved, resized)
-        found += [_absent(declared, Exact.of(setup, here), here, label)] if ABSENT in asked else []
+    for label in dict.fromkeys(label for _, label in worth):
+        asked = [(kind, searches.get((kind, label))) for kind in (POSE, SIZE)]
+        fitted = [(kind, one.finish()) for kind, one in asked if one is not None and one.gain >= least]
+        found += _one_reading([one for kind, each in fitted for one in _candidate(kind, label, each)])
+        found += [_absent(declared, Exact.of(setup, here), here, label)] if (ABSENT, label) in worth else []
     return [one for one in found if 2.0 * one.gain > one.size * price]
 
 
@@ -129,8 +131,9 @@ def worth_fits(screened: Sequence[Screened], price: float, effect_gain: EffectGa
     return [*found, (ABSENT, absent.label)] if absent is not None and absent.absent > least else found
 
 
-def screening(declared: Scene, exact: Exact, here: Fitted) -> list[Screened]:
-    """Every body of the scene, with what its move and its absence would gain at a blur of 3 m."""
+def screening(declared: Scene, exact: Exact, here: Fitted, *, absent: bool = True) -> list[Screened]:
+    """Every body of the scene, with what its move and, where that is asked, its being `absent` would gain at a blur of
+    3 m."""
     blur_m = SEARCH_BLUR_M[0]
     found = []
     for labels in disjoint(bodies(declared, here.scene), TOGETHER):
@@ -139,8 +142,8 @@ def screening(declared: Scene, exact: Exact, here: Fitted) -> list[Screened]:
         loss = problem.value(problem.x0)
         foretold = _foretold(problem)
         for label in labels:
-            absent = loss - _without(declared, exact, here, label, blur_m)
-            found.append(Screened(label, *foretold[label], absent))
+            gone = loss - _without(declared, exact, here, label, blur_m) if absent else 0.0
+            found.append(Screened(label, *foretold[label], gone))
     return found
 
 
@@ -174,45 +177,38 @@ def _foretold(problem: PosedProblem) -> dict[str, tuple[float, float]]:
     return {label: (gain(pose), gain(size)) for label, (pose, size) in numbers.items()}
 
 
-def _resized(setup: FitSetup, here: Fitted, label: str) -> list[GeometryCandidate]:
-    """The body at its likeliest size about its foot; nothing where that does not fit the scene."""
-    free = freed(here.scene, [label], ("scale",))
-    found = find_poses(free, setup.device, views=_views(here), observations=setup.observations)
+def _searched(declared: Scene, setup: FitSetup, here: Fitted, kind: Kind, label: str) -> PoseSearch | None:
+    """A search of the body's size about its foot, or of its pose: of its heading alone where nothing else can be
+    placed, and none where that looks the same."""
+    words: Sequence[Learnable] = ("scale",) if kind == SIZE else POSE_WORDS
+    if kind == POSE and not placeable(declared, here.scene, [label]):
+        if any(one.label == label and one.round for one in freed(here.scene, [label]).objects):
+            return None
+        words = ("heading",)
+    free = freed(here.scene, [label]) if words is POSE_WORDS else freed(here.scene, [label], tuple(words))
+    return search_poses(free, setup.device, views=_views(here), observations=setup.observations)
+
+
+def _candidate(kind: Kind, label: str, found: FoundPoses) -> list[GeometryCandidate]:
+    """The body at its likeliest pose or size; nothing where that is in the ground or outside the images."""
     scene = still(found.scene)
     if misplaced(scene):
         return []
-    return [GeometryCandidate(SIZE, label, scene, found.gain, found.size, found.objects[label], found.words)]
+    return [GeometryCandidate(kind, label, scene, found.gain, found.size, found.objects[label], found.words)]
 
 
-def _one_reading(moved: list[GeometryCandidate], resized: list[GeometryCandidate]) -> list[GeometryCandidate]:
+def _one_reading(found: list[GeometryCandidate]) -> list[GeometryCandidate]:
     """A body elsewhere and the same body of another size. A body that is sunk looks as one that is lower: where both
     explain the images alike they are one hypothesis, which has the name of its size and says the other reading."""
-    if not moved or not resized or moved[0].gain > resized[0].gain + SAME_IMAGES:
-        return [*moved, *resized]
-    one, other = resized[0], moved[0]
-    if abs(one.gain - other.gain) > SAME_IMAGES:
-        return [*moved, *resized]
+    if len(found) < 2 or abs(found[0].gain - found[1].gain) > SAME_IMAGES:
+        return found
+    other, one = found
     east, north, up = other.values["position_m"]
     words = (
         f"{one.object}: the same images come from a body of the declared size that stands {east:+.2f} m east, "
         f"{north:+.2f} m north and {up:+.2f} m up of where it is declared; a survey of its height would decide"
     )
     return [replace(one, words=[*one.words, words])]
-
-
-def _moved(declared: Scene, setup: FitSetup, here: Fitted, label: str) -> list[GeometryCandidate]:
-    """The body at its likeliest pose; nothing where that is in the ground or outside the images."""
-    free = freed(here.scene, [label])
-    if not placeable(declared, here.scene, [label]):
-        one = next(one for one in free.objects if one.label == label)
-        if one.round:
-            return []
-        free = freed(here.scene, [label], ("heading",))
-    found = find_poses(free, setup.device, views=_views(here), observations=setup.observations)
-    scene = still(found.scene)
-    if misplaced(scene):
-        return []
-    return [GeometryCandidate(POSE, label, scene, found.gain, found.size, found.objects[label], found.words)]
 
 
 def _absent(declared: Scene, exact: Exact, here: Fitted, label: str) -> GeometryCandidate:

@@ -46,8 +46,8 @@ class Hypothesis:
     foretold: float = 0.0
 
 
-def screened_sensor(declared: Scene, setup: FitSetup, here: Fitted) -> list[Hypothesis]:
-    """`screening` of all angles and spacings, as the first process finds it."""
+def screened_sensor(declared: Scene, setup: FitSetup, here: Fitted) -> tuple[list[Hypothesis], float]:
+    """`screening` of all angles and spacings, and of shifts, as the first process finds it."""
     return once.find(lambda: screening(declared, setup, here))
 
 
@@ -90,18 +90,21 @@ def hypotheses(declared: Scene, here: Fitted) -> list[Hypothesis]:
     return [one for one in found if name_of(one.kind, one.label) not in taken and not mixed(one)]
 
 
-def screening(declared: Scene, setup: FitSetup, here: Fitted) -> list[Hypothesis]:
-    """What each hypothesis would gain, foretold to second order on blurred images, surface and effects moving along."""
+def screening(declared: Scene, setup: FitSetup, here: Fitted) -> tuple[list[Hypothesis], float]:
+    """What each hypothesis would gain, foretold to second order on blurred images, surface and effects moving along;
+    and what a shift of every image by itself would, which no shift common to all exceeds."""
     views = [view.view.name for view in here.problem.views]
     moved = {one: _moved(one, views) for one in hypotheses(declared, here)}
     free = sensor_freed(here.scene, [name for names in moved.values() for name in names])
     problem = Exact.of(setup, here).problem(free, blur_m=SEARCH_BLUR_M[0], bound=BOUND, rough=True)
-    left, slope = without_shading(problem)
+    left, slope = without_shading(problem, shifts=True)
+    count = len(problem.geometry.coordinates)
     found = []
     for one, names in moved.items():
         along = np.array([[c.label in names] for c in problem.geometry.coordinates], float)
+        along = np.pad(along, ((0, len(slope) - count), (0, 0)))
         found.append(replace(one, foretold=foretold_gain(along.T @ left @ along, along.T @ slope)))
-    return found
+    return found, foretold_gain(left[count:, count:], slope[count:])
 
 
 def _moved(one: Hypothesis, views: Sequence[str]) -> list[str]:

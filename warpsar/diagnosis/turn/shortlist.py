@@ -55,8 +55,7 @@ def refits(
     """Fits of the `most` candidates that look likeliest at a glance.
 
     Each may be given up where it falls far behind the best other one; the next turn tries it again. Where dark pixels
-    decide, effects that can explain them are fitted alone, without refinements, and none is given up: lit pixels do not
-    decide then.
+    decide, effects that can explain them are fitted alone, without refinements, and all pixels say which is far behind.
     """
     if dark.asks:
         passing = [candidate for candidate in passing if dark.answered_by(candidate.effect)]
@@ -77,8 +76,11 @@ def refits(
     order = sorted(zip(passing, screenings, strict=False), key=lambda pair: -pair[1].glanced.log_likelihood)
 
     def gain_over(one: Screening) -> float:
-        others = (other.glanced.log_likelihood for other in screenings if other is not one)
-        return -np.inf if dark.asks else max(others, default=-np.inf)
+        others = [other.glanced for other in screenings if other is not one]
+        if dark.asks:  # all pixels decide then
+            dark_pixels = one.glanced.whole - one.glanced.log_likelihood
+            return max((other.whole for other in others), default=-np.inf) - dark_pixels
+        return max((other.log_likelihood for other in others), default=-np.inf)
 
     finished = setup.share(
         [partial(screening.finish, gain_over(screening), dark, refine=not dark.asks) for _, screening in order[:most]],

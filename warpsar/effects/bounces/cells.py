@@ -26,10 +26,15 @@ _WEAKEST = 1e-8
 """The same, of the view's strongest."""
 _LEAST_FALL = 0.02
 """Share of a sample's power below which a bin gets nothing of it."""
-
+_ONE_PHASE = 1.5
+"""Power of an even field without a taper, over what as many bins as have its power would add up to: 2/3 in truth."""
+_ROUNDING = 1e-3
+"""Of a bin: power so near to the middle of one falls into it alone, whatever rounding says."""
 
 _BRIGHT = 1e-3
 """Power of a sample, over that of the brightest, from which on its accuracy counts."""
+_SEEN = 0.05
+"""The same as beta0 of mirrors: two surfaces that are no metal send some 20 dB less, and so less than ground."""
 _ACCURACY = 0.04
 """Of a bright sample's power: where tubes are too few for it, they are cut."""
 _ERROR_OF_ONE = 1.26
@@ -178,12 +183,12 @@ def kinds_of(normal: NDArray[np.float64], other: NDArray[Any]) -> NDArray[np.int
 
 
 def samples_of(
-    fields: SharedFields, kinds: NDArray[np.int64], pixel_area_m2: float, device: wp.Device
+    fields: SharedFields, kinds: NDArray[np.int64], columns: int, pixel_area_m2: float, device: wp.Device
 ) -> tuple[dict[str, NDArray[Any]], CellSamples]:
     """Paths by sample and kinds of their faces (`kinds_of`), as arrays of `PathRecords`, and their samples.
 
     Faces of one kind answer alike, so the fields of their tubes are added up. The surface is that where the strongest
-    of them lies.
+    of them lies. `columns` of the bins.
 
     A sample's power falls where the tubes lie from which it comes, not into the sample's own place: an isolated body
     keeps its pixel, and its power does not depend on where it lies between the samples.
@@ -211,7 +216,7 @@ def samples_of(
         "point": np.stack(place_m, axis=1)[sample].astype(np.float32),
         "ray": np.zeros((n, 3), np.float32),
     }
-    owner, bin_, share = _falls(sample[path], bins, field, of_sample.size)
+    owner, bin_, share = _falls(sample[path], path, bins, columns, field)
     count = np.diff(first)[owner]
     entry = np.repeat(first[owner] - np.append(0, np.cumsum(count)[:-1]), count) + np.arange(count.sum())
     bin_, share = np.repeat(bin_, count), np.repeat(share, count) * 4.0 * np.pi / pixel_area_m2
@@ -277,10 +282,12 @@ class Borders:
     """Ray cells at the borders of bodies: `cell` (azimuth, elevation), (n, 2), and `error`, (n,).
 
     `error` is that of the power of the brightest samples that the cell's tube sends to, relative, if it is not cut.
+    `bright`: whether these are among the view's brightest, and do not only stand out of the ground.
     """
 
     cell: NDArray[np.int64]
     error: NDArray[np.float64]
+    bright: NDArray[np.bool_]
 
     @property
     def split(self) -> NDArray[np.int64]:
@@ -288,33 +295,34 @@ class Borders:
         return np.ceil(np.clip((self.error / _ACCURACY) ** (2 / 3), 1.0, _MOST_SPLIT)).astype(np.int64)
 
 
-def borders_of(fields: SharedFields, planes: NDArray[np.int64]) -> Borders:
+def borders_of(fields: SharedFields, planes: NDArray[np.int64], pixel_area_m2: float) -> Borders:
     """Cells of bright samples with too few tubes, where neighbours meet other surfaces; these neighbours too.
 
     A tube inside of a body is exact, however wide: its phase is linear. One at a border is in or out by chance.
     `planes` numbers the planes of faces, from 1 on.
     """
-    error = errors_of(fields)[fields.owner]
+    error, bright = (of_group[fields.owner] for of_group in errors_of(fields, pixel_area_m2))
     cell = fields.cell
     if not (error > _ACCURACY).any():
-        return Borders(np.zeros((0, 2), np.int64), np.zeros(0))
+        return Borders(np.zeros((0, 2), np.int64), np.zeros(0), np.zeros(0, bool))
     _, met = np.unique(np.append(0, planes)[fields.records["faces"]], axis=0, return_inverse=True)
     of = met.reshape(-1)[fields.owner] + 1
     start = cell.min(axis=0) - 1
     surfaces = np.zeros(np.ptp(cell, axis=0) + 3, np.int64)
     surfaces[tuple((cell - start).T)] = of
     wanted = error > _ACCURACY
-    cell, of, error = cell[wanted], of[wanted], error[wanted]
+    cell, of, error, bright = cell[wanted], of[wanted], error[wanted], bright[wanted]
     found = []
     for step in product((-1, 0, 1), repeat=2):
         beside = cell + step
         other = surfaces[tuple((beside - start).T)] != of
-        found += [(beside[other], error[other]), (cell[other], error[other])]
+        found += [(at[other], error[other], bright[other]) for at in (beside, cell)]
     return Borders(*(np.concatenate(one) for one in zip(*found, strict=True)))
 
 
-def errors_of(fields: SharedFields) -> NDArray[np.float64]:
-    """Relative error of the power of the bright samples to which each group of tubes sends, (n,), by their number.
+def errors_of(fields: SharedFields, pixel_area_m2: float) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Relative error of the power of the samples to which each group of tubes sends, (n,), by their number; 0 where
+    these are too dark to be seen. And whether such a sample is among the view's brightest.
 
     Of n tubes, those at the border of a body are in or out by chance: 4 sqrt(n) of them, each with a variance of about
     0.1 of its square. The sum of their fields may be much smaller than they are, as off the flash of a long face.
@@ -326,27 +334,61 @@ def errors_of(fields: SharedFields) -> NDArray[np.float64]:
     squares = np.bincount(sample, loose)
     tubes = np.bincount(sample, np.sqrt(loose * fields.tubes[group])) ** 2 / np.maximum(squares, np.finfo(float).tiny)
     bright = power > _BRIGHT * power.max(initial=0.0)
-    relative = np.sqrt(squares / np.where(bright, power, 1.0)) * np.maximum(tubes, 1.0) ** -0.25
-    error = np.where(bright, _ERROR_OF_ONE * relative, 0.0)
-    strongest, worst = np.zeros(fields.tubes.size), np.zeros(fields.tubes.size)
+    seen = bright | (4.0 * np.pi * power > _SEEN * pixel_area_m2)
+    relative = np.sqrt(squares / np.where(seen, power, 1.0)) * np.maximum(tubes, 1.0) ** -0.25
+    error = np.where(seen, _ERROR_OF_ONE * relative, 0.0)
+    strongest, worst, among = (np.zeros(fields.tubes.size) for _ in range(3))
     np.maximum.at(strongest, group, size)
     mine = size**2 >= 0.1 * strongest[group] ** 2
     np.maximum.at(worst, group[mine], error[sample[mine]])
-    return worst
+    np.maximum.at(among, group[mine], bright[sample[mine]])
+    return worst, among > 0.0
 
 
 def _falls(
-    sample: NDArray[Any], bins: NDArray[Any], field: NDArray[np.complex64], count: int
+    sample: NDArray[Any], path: NDArray[Any], bins: NDArray[Any], columns: int, field: NDArray[np.complex64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
     """Into which bins the power of each sample falls: samples in order, bins, and shares whose sum is 1 by sample.
 
-    A bin's share is the power of the field that comes from it, all its groups together: how the tubes were grouped, by
-    bands of rays and by the triangles of a face, does not matter.
+    `sample` and `path` of each field, both from 0 on; `columns` of the bins. The paths of a sample share its power by
+    that of their own fields, all their groups together: how the tubes were grouped, by bands of rays and by the
+    triangles of a face, does not matter. Where the fields of a path have one phase, its bins share by their power.
+    Where they cancel, little is left, and it comes from the ends: its mean place is that which the sum of the fields
+    has, Re(SUM x f F*) / |F|^2, whose mean over samples is that of the image of |field|^2 by Parseval. A part of the
+    power then falls about one place, into the bins beside it, so that the mean is so.
     """
-    across = int(bins.max(initial=0)) + 1
-    keys, inverse = np.unique(sample * across + bins, return_inverse=True)
+    across = int(bins.max(initial=0)) + columns + 2  # and the next row and column, which get nothing
+    of_path = np.zeros(int(path.max(initial=-1)) + 1, np.int64)
+    of_path[path] = sample
+    keys, inverse = np.unique(path * across + bins, return_inverse=True)
+    owner, bin_ = np.divmod(keys, across)  # of a path
+    head = np.searchsorted(owner, np.arange(of_path.size))
+    part = np.bincount(inverse, field.real) + 1j * np.bincount(inverse, field.imag)
+    squares, whole = np.abs(part) ** 2, np.add.reduceat(part, head)
+    total = np.add.reduceat(squares, head)
+    power = np.maximum(np.abs(whole) ** 2, 1e-12 * total)
+    share, own = squares / total[owner], np.real(part * whole.conj()[owner]) / power[owner]
+    one_phase = np.minimum(_ONE_PHASE * power / total * np.add.reduceat(share**2, head), 1.0)
+    rest = 1.0 - one_phase
+    even = share * (one_phase * power)[owner]
+    ends = [(of_path * across, rest * power)]
+    for at, stride in zip(np.divmod(bin_, columns), (columns, 1), strict=True):
+        of_parts, of_sum = (np.add.reduceat(weight * at, head) for weight in (share, own))
+        wanted = (of_sum - one_phase * of_parts) / np.where(rest > 0.0, rest, 1.0)
+        place = np.clip(wanted, np.minimum.reduceat(at, head), np.maximum.reduceat(at, head))
+        low = np.floor(place + _ROUNDING)
+        beyond = np.maximum(place - low, 0.0)
+        ends = [
+            (key + stride * (low + step).astype(np.int64), of_it * each)
+            for key, of_it in ends
+            for step, each in ((0, 1.0 - beyond), (1, beyond))
+        ]
+    keys = np.concatenate([of_path[owner] * across + bin_, *(key for key, _ in ends)])
+    falls = np.concatenate([even, *(of_it for _, of_it in ends)])
+    keys, inverse = np.unique(keys[falls > 0.0], return_inverse=True)
+    share = np.bincount(inverse, falls[falls > 0.0]).astype(float)
     owner, bin_ = np.divmod(keys, across)
-    share = (np.bincount(inverse, field.real) ** 2 + np.bincount(inverse, field.imag) ** 2).astype(float)
+    count = int(of_path.max(initial=-1)) + 1
     for _ in range(2):  # the small ones go, and the others take their place
         share = share / np.bincount(owner, share, count)[owner]
         much = share >= _LEAST_FALL

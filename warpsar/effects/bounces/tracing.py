@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
@@ -27,7 +27,7 @@ from warpsar.effects.bounces.cells import (
 from warpsar.kernels import merge as merging
 from warpsar.kernels.effects import multibounce as kernels
 from warpsar.kernels.geometry import Band, RayGrid
-from warpsar.runtime import threads
+from warpsar.runtime import devices, threads
 from warpsar.runtime.structs import allocate, element_types, fill
 from warpsar.trace.hits import DEFAULT_MEMORY_GIB, BinGrid, concatenate
 from warpsar.trace.rays import ray_grid
@@ -83,10 +83,14 @@ class BouncesOfOneNumber:
 
 @dataclass
 class TracedPaths:
-    """Paths of 2, 3, ... bounces, None where there are none of a number, and what a user should be told of them."""
+    """Paths of 2, 3, ... bounces, None where there are none of a number, and what a user should be told of them.
+
+    `without_cells` makes what the same rays have without cells, as if these had not been asked for.
+    """
 
     of: list[BouncesOfOneNumber | None]
     remarks: list[str]
+    without_cells: Callable[[], TracedPaths]
 
 
 def trace_paths(render: Recorder, max_bounces: int, cell_m: tuple[float, float] | None = None) -> TracedPaths:
@@ -103,7 +107,7 @@ def trace_paths(render: Recorder, max_bounces: int, cell_m: tuple[float, float] 
     rays = ray_grid(target, hits.geometry, wide, hits.rays_per_m2, area)
     first, last = rays.first_cell, rays.end_cell
     width = _band_width(rays, max_bounces, target.device)
-    wp.load_module(kernels, device=target.device)
+    devices.load_kernels(target.device, "effects.multibounce")
     cells = None if cell_m is None else cells_of(grid, cell_m, render.taper, target.device)
     bands = [
         fill(Band, first_cell=begin, end_cell=min(begin + width, last), seed=hits.seed)
@@ -111,39 +115,50 @@ def trace_paths(render: Recorder, max_bounces: int, cell_m: tuple[float, float] 
     ]
     tasks = [partial(_band, render, rays, max_bounces, cells, band) for band in bands]
     traced_bands = list(threads.ordered(tasks, target.device))
+    plain = [_Traced([one and _Merged(one.records, None) for one in band.of], band.area) for band in traced_bands]
     shared: list[SharedFields | None] = [None] * (max_bounces - 1)
     error = 0.0
     if cell_m is not None:
         shared = _shared(traced_bands, max_bounces, grid, cell_m)
         kinds, planes = _kinds(render)
-        splits, error = _splits(shared, planes, rays, bands)
+        splits, error = _splits(shared, planes, area, rays, bands)
         if splits:
             again = [partial(_band, render, rays, max_bounces, cells, bands[at], split) for at, split in splits.items()]
             finer = dict(zip(splits, threads.ordered(again, target.device), strict=True))
             traced_bands = [finer.get(at, one) for at, one in enumerate(traced_bands)]
             shared = _shared(traced_bands, max_bounces, grid, cell_m)
-    parts = [part.of for part in traced_bands]
-    remarks = _remarks(traced_bands, max_bounces, error)
+    found = _joined(traced_bands, max_bounces, rays, target)
+    for traced, fields in zip(found, shared, strict=True):
+        if traced is not None and fields is not None:
+            made, samples = samples_of(fields, kinds, grid.shape[1], area, target.device)
+            own: dict[str, Any] = {
+                name: wp.array(made[name], dtype=dtype, device=target.device) for name, dtype in _ARRAYS.items()
+            }
+            bounces = len(traced.paths.bounces)
+            traced.coherent = CoherentPaths(_paths(fill(kernels.PathRecords, **own), bounces, rays, target), samples)
+
+    def without_cells() -> TracedPaths:
+        return TracedPaths(_joined(plain, max_bounces, rays, target), _remarks(plain, max_bounces, 0.0), without_cells)
+
+    return TracedPaths(found, _remarks(traced_bands, max_bounces, error), without_cells)
+
+
+def _joined(
+    traced: Sequence[_Traced], max_bounces: int, rays: RayGrid, target: Target
+) -> list[BouncesOfOneNumber | None]:
+    """The paths of all bands by number of bounces, two first; None where there are none."""
     found: list[BouncesOfOneNumber | None] = []
     for index in range(max_bounces - 1):
-        mine = [one for part in parts if (one := part[index]) is not None]
+        mine = [merged.records for one in traced if (merged := one.of[index]) is not None]
         if not mine:
             found.append(None)
             continue
         arrays = {
-            name: concatenate([getattr(one.records, name) for one in mine], dtype, target.device)
+            name: concatenate([getattr(one, name) for one in mine], dtype, target.device)
             for name, dtype in _ARRAYS.items()
         }
-        traced = BouncesOfOneNumber(_paths(fill(kernels.PathRecords, **arrays), index + 2, rays, target))
-        if (fields := shared[index]) is not None:
-            made, samples = samples_of(fields, kinds, area, target.device)
-            own: dict[str, Any] = {
-                name: wp.array(made[name], dtype=dtype, device=target.device) for name, dtype in _ARRAYS.items()
-            }
-            paths = _paths(fill(kernels.PathRecords, **own), index + 2, rays, target)
-            traced.coherent = CoherentPaths(paths, samples)
-        found.append(traced)
-    return TracedPaths(found, remarks)
+        found.append(BouncesOfOneNumber(_paths(fill(kernels.PathRecords, **arrays), index + 2, rays, target)))
+    return found
 
 
 def _kinds(render: Recorder) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -188,26 +203,32 @@ def _remarks(traced: Sequence[_Traced], max_bounces: int, error: float) -> list[
 
 
 def _splits(
-    shared: Sequence[SharedFields | None], planes: NDArray[np.int64], rays: RayGrid, bands: Sequence[Any]
+    shared: Sequence[SharedFields | None], planes: NDArray[np.int64], area: float, rays: RayGrid, bands: Sequence[Any]
 ) -> tuple[dict[int, NDArray[np.uint8]], float]:
     """The bands that have cells to cut, each with the parts of its cells' sides (`kernels.path_kernel`).
 
-    All cuts together send at most as many rays again. And the largest relative error of a bright sample's power that
-    is left.
+    All cuts together send at most as many rays again: the view's brightest samples come first. And the largest
+    relative error of the power of one of these that is left.
     """
-    found = [borders_of(fields, planes) for fields in shared if fields is not None]
+    found = [borders_of(fields, planes, area) for fields in shared if fields is not None]
     if not any(len(one.cell) for one in found):
         return {}, 0.0
-    split = np.ones((rays.end_cell - rays.first_cell + 2, rays.elevation_cells + 2), np.uint8)
+    size = rays.end_cell - rays.first_cell + 2, rays.elevation_cells + 2
     at = [(one.cell[:, 0] - rays.first_cell + 1, one.cell[:, 1] + 1) for one in found]
-    for one, place in zip(found, at, strict=True):
-        np.maximum.at(split, place, one.split.astype(np.uint8))
+    budget = max((size[0] - 2) * (size[1] - 2), _LEAST_BUDGET)
+    split = np.ones(size, np.uint8)
+    for first in (True, False):
+        parts = np.ones(size, np.uint8)
+        for one, (row, column) in zip(found, at, strict=True):
+            mine = one.bright == first
+            np.maximum.at(parts, (row[mine], column[mine]), one.split[mine].astype(np.uint8))
+        more = int((parts[1:-1, 1:-1].astype(np.int64) ** 2 - 1).sum())
+        if more > budget:
+            parts = np.floor(np.maximum(parts * np.sqrt(budget / more), 1.0)).astype(np.uint8)
+        budget = max(budget - more, 0)
+        np.maximum(split, parts, out=split)
     inner = split[1:-1, 1:-1]
-    budget = max(inner.size, _LEAST_BUDGET)
-    more = int((inner.astype(np.int64) ** 2 - 1).sum())
-    if more > budget:
-        np.floor(np.maximum(inner * np.sqrt(budget / more), 1.0), out=inner, casting="unsafe")
-    left = [one.error * split[place].astype(float) ** -1.5 for one, place in zip(found, at, strict=True)]
+    left = [(one.error * split[place].astype(float) ** -1.5)[one.bright] for one, place in zip(found, at, strict=True)]
     of_bands = {
         at: inner[band.first_cell - rays.first_cell : band.end_cell - rays.first_cell] for at, band in enumerate(bands)
     }

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warpsar.errors import DeviceError, InputError, WarpsarError
+from warpsar.errors import DeviceError, InputError, NothingLitError, WarpsarError
 from warpsar.runtime.distributed.travel import packed, unpacked
 
 if TYPE_CHECKING:
@@ -103,13 +103,14 @@ class Ranks:
             result = task()
         except WarpsarError as error:
             problem = error
-        refusals = self.gather(None if problem is None else (problem.exit_code, str(problem)))
+        refusals = self.gather(None if problem is None else (type(problem).__name__, str(problem)))
         first = next((rank for rank, refusal in enumerate(refusals) if refusal), None)
         if first is None:
             return cast(T, result)
-        code, text = cast(tuple[int, str], refusals[first])
+        kind, text = cast(tuple[str, str], refusals[first])
         if problem is None:
-            problem = {each.exit_code: each for each in (InputError, DeviceError)}.get(code, WarpsarError)(text)
+            known = (InputError, NothingLitError, DeviceError)
+            problem = {each.__name__: each for each in known}.get(kind, WarpsarError)(text)
         problem.quiet = first != self.rank
         raise problem
 

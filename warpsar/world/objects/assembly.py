@@ -72,6 +72,19 @@ class Assembly:
         vertices += [self.vertices_of(one) for one in objects if one.group is None]
         return replace(self._wholes[key], vertices=np.concatenate(vertices))
 
+    def faces_of(self, objects: Sequence[Object]) -> dict[str, NDArray[np.integer]]:
+        """Which faces of `mesh` are an object's, by its label."""
+        found: dict[str, NDArray[np.integer]] = {}
+        start = 0 if self.base is None else len(self.base.faces)
+        for one in objects:
+            if one.group is not None:
+                found[one.label] = np.asarray(_group_faces(self.base, one.group, "objects"))
+                continue
+            count = len(self.templates[_key(one)].faces if one.primitive is None else body(one).faces)
+            found[one.label] = np.arange(start, start + count)
+            start += count
+        return found
+
     def placed(self, one: Object) -> Mesh:
         """An object that is no group, where its table puts it."""
         if one.primitive is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -34,11 +35,21 @@ def body(table: Object) -> ObjectTriangles:
     """The primitive that the table states: its length along the front (+Y), its width along +X, its foot at z = 0."""
     assert table.primitive is not None
     assert table.size_m is not None
-    length, width, height = table.size_m
-    if table.primitive in CABIN:
-        cabin = CABIN[table.primitive] if table.cabin is None else table.cabin
-        return _VEHICLES[table.primitive](length, width, height, cabin, table.side_curvature or 0.0)
-    return _SOLIDS[table.primitive](length, width, height)
+    return _made(table.primitive, table.size_m, table.cabin, table.side_curvature or 0.0)
+
+
+@lru_cache(maxsize=1024)  # a fit moves some bodies of many, and asks for all of them
+def _made(
+    primitive: str, size_m: tuple[float, float, float], cabin: float | None, side_curvature: float
+) -> ObjectTriangles:
+    if primitive in CABIN:
+        share = CABIN[primitive] if cabin is None else cabin
+        made = _VEHICLES[primitive](*size_m, share, side_curvature)
+    else:
+        made = _SOLIDS[primitive](*size_m)
+    for array in (made.vertices, made.faces):
+        array.flags.writeable = False
+    return made
 
 
 def _joined(parts: Sequence[ObjectTriangles]) -> ObjectTriangles:

@@ -114,10 +114,22 @@ class Object(Table):
     material: Annotated[str, Field(min_length=1)] | None = Field(
         default=None, description="Material of the whole object; else the file's own names.", examples=["body"]
     )
+    own_material: bool = Field(
+        default=False,
+        description="Whether the body has a material of its own, which begins as `material` and is called as the body "
+        "is: bodies of one kind are unlike in brightness.",
+        examples=[True],
+    )
     materials: dict[str, Annotated[str, Field(min_length=1)]] | None = Field(
         default=None,
         description="Materials of the mesh file's parts: a material of the scene for each of the file's names.",
         examples=[{"hull": "steel", "wheels": "rubber"}],
+    )
+    glint: bool = Field(
+        default=False,
+        description="Whether `learn` may give the body a bright point beside what its shape returns, where the images "
+        "pay for its three numbers.",
+        examples=[True],
     )
     learn: tuple[Learnable, ...] = Field(
         default=(), description="Numbers that a fit may change.", examples=[["position", "heading"]]
@@ -188,6 +200,9 @@ class Object(Table):
             raise ValueError(f"found {' and '.join(kinds) or 'no body'}; must be exactly one of mesh, primitive, group")
         if self.up[1] == self.front[1]:
             raise ValueError(f'found up = "{self.up}" and front = "{self.front}"; must lie on two axes')
+        for key in ("own_material", "glint"):
+            if getattr(self, key) and self.material is None:
+                raise ValueError(f"found {key} without material; must state the one that it begins as")
         if self.material is not None and self.materials is not None:
             raise ValueError("found material and materials; must be one of them")
         self._refuse_foreign_keys(kinds[0])

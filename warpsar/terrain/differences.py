@@ -1,0 +1,512 @@
+"""What differs between measured pixels and the simulated ones, as hypotheses with intervals.
+
+Cells of pixels (`comparison.py`) hold measured power y beside the model
+
+    mu = c [ sum over surfaces k of a_k S_k  +  b N ]
+
+S_k: simulated beta0 of the surface, at places that may be moved; N: the annotation's noise. Each factor and each move
+is a hypothesis. They are chosen one after the other by scores of a gamma likelihood in half of the squares of a
+checkerboard, and each has to predict the other half better (its deviance, by squares, two standard errors above 0).
+Neighbouring cells are alike in real fields: cells of a square have a part of their residual in common. Its variance and
+that of single cells are measured, robustly, and chances and intervals follow from both (the sandwich of a clustered
+likelihood: Liang and Zeger 1986, Biometrika 73). A trend over the image
+that needs no physics is a hypothesis like the others. A level within what the library grants its surfaces has no name.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import label, map_coordinates
+from scipy.special import chdtrc
+
+from warpsar.terrain.comparison import LEAST_CELLS, SQUARE, averaged, cell_of, slant_step_m
+from warpsar.terrain.result import SimulatedProduct
+from warpsar.terrain.scenery import ANGLES_DEG, surface_sigma0
+from warpsar.world.library.surfaces import SURFACES
+
+F64 = NDArray[np.float64]
+CHANCE = 0.01
+"""Of all hypotheses of a step together: a score beyond it is tried on the other half."""
+FITTED = 6
+"""Hypotheses of a step that are fitted: those of the least chance."""
+CONFIRMED = 2.0
+"""Standard errors of the gain on the other half."""
+LEAST_SQUARES = 12
+"""In each half: fewer do not tell what squares have in common."""
+LEAST_REGION = 3 * SQUARE**2 // 2
+"""Cells of a part of the land cover that is asked for itself."""
+MOST_REGIONS = 30
+WHOLE = 0.8
+"""Share of one surface in a cell that belongs to a region."""
+CAP = 6.0
+"""Residuals count in full up to so many of their robust standard deviation: a bright point is not a level."""
+TIED = 0.95
+"""Correlation of two scores."""
+STEPS = 12
+PLACE_ALLOWANCE_M = 4.0
+"""Slant range that atmosphere, tides and a product's own timing may take (Schubert et al. 2015, Remote Sens. 7)."""
+NORMAL_95 = 1.96
+DB = 10.0 / np.log(10.0)
+TREND = ("trend along lines", "trend along pixels")
+MOVES = RANGE, AZIMUTH, HEIGHT = "range timing", "azimuth timing", "height of the elevation model"
+
+
+@dataclass(frozen=True)
+class TerrainDifference:
+    """One hypothesis that the other half confirmed. `value` and its 95 % interval: dB of a factor, metres of a move."""
+
+    name: str
+    value: float
+    low: float
+    high: float
+    unit: str
+    gain: float
+    """2 ln L, by the dispersion, in the squares that decided nothing."""
+    tied: tuple[str, ...]
+    """Hypotheses that the same pixels cannot tell from this one."""
+    granted: float | None
+    """What needs no name: spread of the library's levels [dB], allowance of places [m]."""
+    named: bool
+    words: str
+
+
+@dataclass(frozen=True)
+class TerrainDifferences:
+    """`before_db`, `after_db`: measured less modelled, (rows, columns) of cells, without the differences and with."""
+
+    cell: tuple[int, int]
+    """Lines and pixels averaged."""
+    found: tuple[TerrainDifference, ...]
+    asked: tuple[str, ...]
+    squares: int
+    deviance: tuple[float, float]
+    """Mean over cells of the other half, before and after, by the dispersion after."""
+    words: tuple[str, ...]
+    before_db: F64
+    after_db: F64
+
+    def content(self) -> dict[str, Any]:
+        return {
+            "found": [asdict(one) for one in self.found],
+            "asked": list(self.asked),
+            "squares": self.squares,
+            "deviance": list(self.deviance),
+            "words": list(self.words),
+        }
+
+
+def differences(found: SimulatedProduct) -> TerrainDifferences | str | None:
+    """None for a product without pixels; words where there is too little to say anything."""
+    if not found.measured:
+        return None
+    cells = _Cells(found)
+    halves = [cells.usable & cells.half(k) for k in (0, 1)]
+    squares = [np.unique(cells.square[half]).size for half in halves]
+    if cells.usable.sum() < LEAST_CELLS or min(squares) < LEAST_SQUARES:
+        return (
+            f"{int(cells.usable.sum())} cells in {sum(squares)} squares: too few to ask what differs; must be "
+            f"{LEAST_CELLS} cells in {2 * LEAST_SQUARES} squares"
+        )
+    asked = cells.hypotheses()
+    chosen: list[str] = []
+    gains: list[float] = []
+    refused: set[str] = set()
+    ties: dict[str, tuple[str, ...]] = {}
+    x = np.zeros(0)
+    while left := [name for name in asked if name not in chosen and name not in refused]:
+        chances, close = _screened(cells, chosen, x, left, halves[0])
+        likely = [int(k) for k in np.argsort(chances)[:FITTED] if chances[k] * len(left) <= CHANCE]
+        if not likely:
+            break
+        # a score says what a small change gains: what a whole change gains is found by a fit
+        fits = {k: _fitted(cells, [*chosen, left[k]], np.append(x, 0.0), halves[0]) for k in likely}
+        best = max(fits, key=lambda k: _gain(cells, (chosen, x), ([*chosen, left[k]], fits[k]), halves[0])[0])
+        name, more = left[best], fits[best]
+        gain, error = _gain(cells, (chosen, x), ([*chosen, name], more), halves[1])
+        if gain < CONFIRMED * error:
+            refused.add(name)
+            continue
+        ties[name] = tuple(other for k, other in enumerate(left) if k != best and abs(close[best, k]) > TIED)
+        chosen.append(name)
+        gains.append(gain)
+        x = more
+    final = _fitted(cells, chosen, x, cells.usable)
+    sd = _standard_deviations(cells, chosen, final, cells.usable)
+    told = tuple(
+        _told(found, cells, name, float(final[k]), float(sd[k]), gains[k], ties[name]) for k, name in enumerate(chosen)
+    )
+    bare, after = cells.model([], np.zeros(0)).power, cells.model(chosen, x).power
+    scatter = _Scatter.of(cells, after, halves[1])
+    y = cells.measured[halves[1]]
+    left_over = tuple(
+        float(np.average(_deviance(y, power[halves[1]]), weights=scatter.weights) / scatter.variance)
+        for power in (bare, after)
+    )
+    with np.errstate(all="ignore"):
+        pictures = [
+            np.where(cells.usable, DB * np.log(cells.measured / power), np.nan)
+            for power in (bare, cells.model(chosen, final).power)
+        ]
+    words = [one.words for one in told] or ["of all that is asked, these pixels confirm nothing"]
+    words.append(_farthest(found, cells, pictures[1]))
+    return TerrainDifferences(
+        cells.cell, told, tuple(asked), sum(squares), (left_over[0], left_over[1]), tuple(words),
+        pictures[0], pictures[1],
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Modelled:
+    """Power of cells (rows, columns), and its logarithm's derivatives by hypotheses."""
+
+    power: F64
+    by: dict[str, F64]
+
+
+class _Cells:
+    """Pixels in cells, and the model there."""
+
+    def __init__(self, found: SimulatedProduct) -> None:
+        image = found.image
+        self.found, self.cell = found, cell_of(found)
+        self.surfaces = found.scenery.surfaces
+        self.simulated = np.asarray(image["beta0"], np.float64)
+        self.known = np.isfinite(self.simulated) & np.isfinite(image["measured"])
+        self.noise = np.asarray(image["noise"], np.float64) if "noise" in image else np.zeros(self.simulated.shape)
+        cover = image.get("cover")
+        self.cover = np.zeros(self.simulated.shape) if cover is None else np.asarray(cover, np.float64)
+        self.measured = self._mean(np.asarray(image["measured"], np.float64))
+        self.has_noise = "noise" in image
+        step = slant_step_m(found)
+        line_m = float(np.nanmedian(image["area_beta"])) / abs(step)
+        self.per_metre: dict[str, tuple[float, float | F64]] = {
+            RANGE: (0.0, 1.0 / step),
+            AZIMUTH: (1.0 / line_m, 0.0),
+            HEIGHT: (0.0, -np.cos(np.deg2rad(np.asarray(image["ellipsoid_incidence"], np.float64))) / step),
+        }
+        """Lines and pixels by which the scene moves for a metre."""
+        row, column = np.indices(self.measured.shape)
+        across = -(-self.measured.shape[1] // SQUARE)
+        self.square = row // SQUARE * across + column // SQUARE
+        self._checker = (row // SQUARE + column // SQUARE) % 2
+        self.trend = [2.0 * at / max(n - 1, 1) - 1.0 for at, n in zip((row, column), self.measured.shape, strict=True)]
+        self._placed: dict[tuple[float, ...], tuple[list[F64], list[F64], list[F64]]] = {}
+        parts, _, _ = self.parts((0.0, 0.0, 0.0))
+        total = sum(parts) + self._mean(self.noise)
+        middle = float(np.nanmedian(total))
+        self.usable = np.isfinite(self.measured) & (self.measured > 0.0) & (total > 0.03 * middle)
+        """Cells that are darker than everything else have no level to compare where no noise is annotated."""
+        self.regions = self._regions(parts)
+
+    def half(self, which: int) -> NDArray[np.bool_]:
+        return np.asarray(self._checker == which)
+
+    def _mean(self, values: F64) -> F64:
+        return averaged(np.where(self.known, values, np.nan), self.cell)
+
+    def parts(self, moves: tuple[float, float, float]) -> tuple[list[F64], list[F64], list[F64]]:
+        """beta0 of each surface in cells, and its slopes by a line and by a pixel, after moves [m] in range, azimuth
+        and height."""
+        if moves not in self._placed:
+            off = [sum(one * self.per_metre[name][k] for one, name in zip(moves, MOVES, strict=True)) for k in (0, 1)]
+            image, cover = np.nan_to_num(self.simulated), self.cover
+            if any(moves):
+                row, column = np.indices(image.shape).astype(np.float64)
+                at = [row - off[0], column - np.nan_to_num(off[1])]
+                image = map_coordinates(image, at, order=1, mode="nearest")
+                cover = map_coordinates(np.nan_to_num(cover), at, order=0, mode="nearest")
+            down, along = np.gradient(image)
+            found: tuple[list[F64], list[F64], list[F64]] = ([], [], [])
+            for k in range(len(self.surfaces)):
+                mine = cover == k if len(self.surfaces) > 1 else np.ones(image.shape, bool)
+                for into, values in zip(found, (image, down, along), strict=True):
+                    into.append(self._mean(np.where(mine, values, 0.0)))
+            self._placed = {(0.0, 0.0, 0.0): self._placed.get((0.0, 0.0, 0.0), found), moves: found}
+        return self._placed[moves]
+
+    def _regions(self, parts: list[F64]) -> dict[str, tuple[int, NDArray[np.bool_]]]:
+        """Parts of the land cover that hang together, by name: the surface, and the cells."""
+        if len(parts) < 2:
+            return {}
+        made: list[tuple[int, int, NDArray[np.bool_]]] = []
+        share = [self._mean((self.cover == k).astype(float)) for k in range(len(parts))]
+        for k in range(len(parts)):
+            mine = (share[k] > WHOLE) & self.usable
+            numbered, count = label(mine)
+            sizes = np.bincount(numbered.ravel(), minlength=count + 1)[1:]
+            for number in np.flatnonzero((sizes >= LEAST_REGION) & (sizes < 0.7 * mine.sum())) + 1:
+                made.append((int(sizes[number - 1]), k, numbered == number))
+        made.sort(key=lambda one: -one[0])
+        return {
+            f"region {n} of {self.surfaces[k]}": (k, where) for n, (_, k, where) in enumerate(made[:MOST_REGIONS], 1)
+        }
+
+    def hypotheses(self) -> list[str]:
+        """Names of all that is asked."""
+        lit = [k for k, part in enumerate(self.parts((0.0, 0.0, 0.0))[0]) if part[self.usable].sum() > 0.0]
+        names = ["calibration", *(["noise"] if self.has_noise else [])]
+        names += [f"level of {self.surfaces[k]}" for k in lit] if len(lit) > 1 else []
+        return [*names, *self.regions, *MOVES, *TREND]
+
+    def longest_step(self, name: str) -> float:
+        """Of a fit: the logarithm of a factor, or metres of a move that slopes foretell."""
+        if name not in MOVES:
+            return 1.5
+        lines, pixels = self.per_metre[name]
+        return 2.0 / max(float(np.nanmax(np.abs(lines))), float(np.nanmax(np.abs(pixels))))
+
+    def model(self, names: list[str], x: F64, also: list[str] | None = None) -> _Modelled:
+        """With hypotheses at values x; derivatives by them and by others at 0."""
+        at = dict(zip(names, map(float, x), strict=True))
+        moves = tuple(at.get(name, 0.0) for name in MOVES)
+        parts, down, along = self.parts((moves[0], moves[1], moves[2]))
+        factor = np.full(self.measured.shape, at.get("calibration", 0.0))
+        for name, t in zip(TREND, self.trend, strict=True):
+            factor = factor + at.get(name, 0.0) * t
+        whole, noise = np.exp(factor), np.exp(at.get("noise", 0.0)) * self._mean(self.noise)
+        scaled, grown = [], []
+        for k, surface in enumerate(self.surfaces):
+            level = np.full(self.measured.shape, at.get(f"level of {surface}", 0.0))
+            for name, (of, where) in self.regions.items():
+                if of == k and name in at:
+                    level = level + np.where(where, at[name], 0.0)
+            scaled.append(whole * np.exp(level))
+            grown.append(scaled[k] * parts[k])
+        noise = whole * noise
+        power = sum(grown) + noise
+        by: dict[str, F64] = {}
+        for name in [*names, *(also or [])]:
+            by[name] = self._slope(name, power, noise, scaled, grown, down, along) / power
+        return _Modelled(power, by)
+
+    def _slope(
+        self, name: str, power: F64, noise: F64, scaled: list[F64], grown: list[F64], down: list[F64], along: list[F64]
+    ) -> F64:
+        if name == "calibration":
+            return power
+        if name == "noise":
+            return noise
+        if name in TREND:
+            return power * self.trend[TREND.index(name)]
+        if name in self.regions:
+            of, where = self.regions[name]
+            return np.where(where, grown[of], 0.0)
+        if name in MOVES:
+            lines, pixels = self.per_metre[name]
+            pixels = self._mean(np.broadcast_to(pixels, self.simulated.shape))
+            found = [
+                f * (lines * np.nan_to_num(d) + np.nan_to_num(pixels) * np.nan_to_num(a))
+                for f, d, a in zip(scaled, down, along, strict=True)
+            ]
+            return -np.sum(found, axis=0)
+        return grown[self.surfaces.index(name.removeprefix("level of "))]
+
+
+@dataclass(frozen=True)
+class _Scatter:
+    """Of y / mu - 1 about a model: weights of cells, variance in cells, and variance that a square has in common."""
+
+    residual: F64
+    weights: F64
+    variance: float
+    common: float
+    which: NDArray[np.intp]
+    """The square of each cell, from 0."""
+
+    @classmethod
+    def of(cls, cells: _Cells, power: F64, where: NDArray[np.bool_]) -> _Scatter:
+        e = cells.measured[where] / power[where] - 1.0
+        _, which = np.unique(cells.square[where], return_inverse=True)
+        count = np.bincount(which)
+        mean = np.bincount(which, e) / count
+        deviation = np.sqrt(_robust_variance(e))
+        far = np.abs(e - np.median(e))
+        weights = np.minimum(1.0, CAP * deviation / np.maximum(far, 1e-300))
+        within = max(_robust_variance((e - mean[which])[count[which] > 1]), 1e-12)
+        whole = count >= SQUARE**2 // 2
+        common = _robust_variance(mean[whole]) - within * float(np.mean(1.0 / count[whole])) if whole.sum() > 2 else 0.0
+        return cls(e, weights, within, max(common, 0.0), which)
+
+    def covariance(self, directions: F64) -> F64:
+        """Of the sums of residual times direction (n, k) over cells."""
+        weighted = directions * self.weights[:, None]
+        sums = np.zeros((int(self.which.max()) + 1, directions.shape[1]))
+        np.add.at(sums, self.which, weighted)
+        return np.asarray(self.variance * weighted.T @ weighted + self.common * sums.T @ sums)
+
+
+def _robust_variance(values: F64) -> float:
+    return float((1.4826 * np.median(np.abs(values - np.median(values)))) ** 2)
+
+
+def _deviance(y: F64, mu: F64) -> F64:
+    ratio = y / mu
+    return np.asarray(2.0 * (ratio - 1.0 - np.log(ratio)))
+
+
+def _slopes(made: _Modelled, names: list[str], where: NDArray[np.bool_]) -> F64:
+    count = int(where.sum())
+    return np.stack([made.by[name][where] for name in names], axis=-1) if names else np.zeros((count, 0))
+
+
+def _screened(cells: _Cells, chosen: list[str], x: F64, left: list[str], where: NDArray[np.bool_]) -> tuple[F64, F64]:
+    """The chance of each score beside the fitted model, and the correlations of the directions themselves."""
+    made = cells.model(chosen, x, left)
+    scatter = _Scatter.of(cells, made.power, where)
+    had, more = _slopes(made, chosen, where), _slopes(made, left, where)
+    w = scatter.weights[:, None]
+    free = more - had @ np.linalg.lstsq(had.T @ (w * had), had.T @ (w * more), rcond=None)[0]
+    information, norms = free.T @ (w * free), (w * more * more).sum(axis=0)
+    variance = np.diag(scatter.covariance(free))
+    score = (w * free).T @ scatter.residual
+    alive = (np.diag(information) > 1e-6 * norms) & (variance > 0.0)
+    statistic = np.where(alive, score**2 / np.where(alive, variance, 1.0), 0.0)
+    seen = np.sqrt(np.where(alive, np.diag(information), 1.0))
+    return np.asarray(chdtrc(1.0, statistic)), information / np.outer(seen, seen) * np.outer(alive, alive)
+
+
+def _fitted(cells: _Cells, names: list[str], x: F64, where: NDArray[np.bool_]) -> F64:
+    """Values of the hypotheses: Gauss-Newton on weighted scores, halved where the deviance grows."""
+    if not names:
+        return x
+    y, made = cells.measured[where], cells.model(names, x)
+    for _ in range(STEPS):
+        scatter = _Scatter.of(cells, made.power, where)
+        slopes, w = _slopes(made, names, where), scatter.weights
+        information = slopes.T @ (w[:, None] * slopes)
+        step = np.linalg.lstsq(information, slopes.T @ (w * scatter.residual), rcond=None)[0]
+        limit = np.array([cells.longest_step(name) for name in names])
+        step *= min(1.0, float(np.min(limit / np.maximum(np.abs(step), 1e-300))))
+        now = (w * _deviance(y, made.power[where])).sum()
+        for _ in range(6):
+            trial = cells.model(names, x + step)
+            gained = now - (w * _deviance(y, trial.power[where])).sum()
+            if gained >= 0.0:
+                break
+            step = 0.5 * step
+        else:
+            return x
+        x, made = x + step, trial
+        if gained < 1e-3 * scatter.variance:
+            break
+    return x
+
+
+def _gain(
+    cells: _Cells, before: tuple[list[str], F64], after: tuple[list[str], F64], where: NDArray[np.bool_]
+) -> tuple[float, float]:
+    """Deviance by the variance in cells, less with the hypothesis than without; and its standard error by squares."""
+    powers = [cells.model(*one).power for one in (before, after)]
+    scatter = _Scatter.of(cells, powers[1], where)
+    less, more = (scatter.weights * _deviance(cells.measured[where], power[where]) for power in powers)
+    by_square = np.bincount(scatter.which, less - more) / scatter.variance
+    return float(by_square.sum()), float(np.sqrt(len(by_square)) * np.std(by_square, ddof=1))
+
+
+def _standard_deviations(cells: _Cells, names: list[str], x: F64, where: NDArray[np.bool_]) -> F64:
+    if not names:
+        return np.zeros(0)
+    made = cells.model(names, x)
+    scatter, slopes = _Scatter.of(cells, made.power, where), _slopes(made, names, where)
+    bread = np.linalg.pinv(slopes.T @ (scatter.weights[:, None] * slopes))
+    return np.asarray(np.sqrt(np.diag(bread @ scatter.covariance(slopes) @ bread)))
+
+
+def _told(
+    found: SimulatedProduct, cells: _Cells, name: str, value: float, sd: float, gain: float, tied: tuple[str, ...]
+) -> TerrainDifference:
+    unit = "m" if name in MOVES else "dB"
+    scale = 1.0 if unit == "m" else DB
+    at, reach = scale * value, scale * NORMAL_95 * sd
+    granted = _granted(cells, name, tied)
+    beyond = granted is None or abs(at) - reach > granted
+    made = TerrainDifference(name, at, at - reach, at + reach, unit, gain, tied, granted, beyond, "")
+    return replace(made, words=_words(found, cells, made))
+
+
+def _granted(cells: _Cells, name: str, tied: tuple[str, ...]) -> float | None:
+    """What needs no name: levels of the library within their spread, places within what orbits allow."""
+    spreads = {surface: NORMAL_95 * SURFACES[surface].spread_db for surface in cells.surfaces}
+    if name == "calibration":
+        # the surfaces' own levels may all lie off together by chance
+        return float(np.sqrt(np.sum(np.square([*spreads.values()]))) / len(spreads))
+    if name in cells.regions:
+        return spreads[cells.surfaces[cells.regions[name][0]]]
+    if name.startswith("level of "):
+        return spreads[name.removeprefix("level of ")]
+    if name == AZIMUTH:
+        return None
+    if name in MOVES:
+        tells = 1.0
+        if name == HEIGHT:
+            if RANGE not in tied:
+                return None
+            tells = float(np.nanmean(np.cos(np.deg2rad(cells.found.image["ellipsoid_incidence"]))))
+        return PLACE_ALLOWANCE_M / tells
+    return None
+
+
+def _words(found: SimulatedProduct, cells: _Cells, one: TerrainDifference) -> str:
+    amount = f"{one.value:+.2f} {one.unit} ({one.low:+.2f} to {one.high:+.2f})"
+    readings = {
+        "calibration": f"all power is {amount} of the simulated: the calibration, or the levels of all surfaces",
+        "noise": f"noise is {amount} of what the annotation says",
+        RANGE: f"the scene lies {amount} farther in slant range than simulated",
+        AZIMUTH: f"the scene lies {amount} later along the flight than simulated",
+        HEIGHT: f"the elevation model is to be raised by {amount}",
+        TREND[0]: f"power grows by {amount} from the middle of the lines to the last: no cause is known here",
+        TREND[1]: f"power grows by {amount} from the middle of the pixels to the last: the antenna pattern, or no "
+        "cause that is known here",
+    }
+    words = readings.get(one.name)
+    if words is None and one.name in cells.regions:
+        of, where = cells.regions[one.name]
+        latitude, longitude, like = _place_and_surfaces(found, cells, where, of, one.value)
+        words = f"{one.name}, about {latitude:.4f} {longitude:.4f}, is {amount} of its surface"
+        if one.named:
+            words += f": other land cover ({like})"
+    elif words is None:
+        words = f"the {one.name} is {amount} of the library's"
+    if not one.named:
+        kind = "surfaces" if one.unit == "dB" else "orbits and atmosphere"
+        words += f"; within what {kind} may do ({one.granted:.1f} {one.unit})"
+    if one.tied:
+        words += f"; not to be told from {', '.join(one.tied)}"
+    return words
+
+
+def _place_and_surfaces(
+    found: SimulatedProduct, cells: _Cells, where: NDArray[np.bool_], of: int, value_db: float
+) -> tuple[float, float, str]:
+    """The middle of a region, and the library's surfaces whose level there is that of the region."""
+    whole = np.repeat(np.repeat(where, cells.cell[0], axis=0), cells.cell[1], axis=1)
+    part = tuple(slice(0, n) for n in whole.shape)
+    mine = [np.asarray(found.image[name])[part][whole] for name in ("latitude", "longitude", "incidence")]
+    latitude, longitude, angle = (float(np.nanmedian(each)) for each in mine)
+    level = {
+        name: DB * float(np.log(np.interp(angle, ANGLES_DEG, surface_sigma0(name, found.product)))) for name in SURFACES
+    }
+    wanted = level[cells.surfaces[of]] + value_db
+    near = sorted((abs(at - wanted) / SURFACES[name].spread_db, name) for name, at in level.items())
+    like = [name for off, name in near if off < 1.0 and name != cells.surfaces[of]][:3]
+    return latitude, longitude, f"its level is that of {', '.join(like)}" if like else "of no level in the library"
+
+
+def _farthest(found: SimulatedProduct, cells: _Cells, left_db: F64) -> str:
+    """The square that the model, as it ends, describes worst."""
+    where = np.isfinite(left_db)
+    _, which = np.unique(cells.square[where], return_inverse=True)
+    count = np.bincount(which)
+    mean = np.where(count >= SQUARE**2 // 2, np.bincount(which, left_db[where]) / count, 0.0)
+    worst = int(np.argmax(np.abs(mean)))
+    row, column = (float(np.mean(each[which == worst])) for each in np.nonzero(where))
+    at = int((row + 0.5) * cells.cell[0]), int((column + 0.5) * cells.cell[1])
+    latitude, longitude = (found.image[name][at] for name in ("latitude", "longitude"))
+    return (
+        f"the largest difference that is left is {mean[worst]:+.1f} dB, over {SQUARE} x {SQUARE} cells about line "
+        f"{found.window.lines[0] + at[0]}, pixel {found.window.pixels[0] + at[1]} ({latitude:.4f} {longitude:.4f})"
+    )
