@@ -68,9 +68,9 @@ class Findings:
     that a radar has seen from behind, where bounces are followed, else none."""
 
     areas: Any = 0.0
-    behind: NDArray[np.integer] = field(default_factory=lambda: np.zeros(0, np.int64))
     dark: dict[str, dict[str, float]] = field(default_factory=dict)
     remarks: dict[str, dict[str, None]] = field(default_factory=dict)
+    behind: NDArray[np.integer] = field(default_factory=lambda: np.zeros(0, np.int64))
 
     def add(self, stage: Stage, render: ViewRender, beta0: dict[str, np.ndarray], lit: np.ndarray) -> None:
         """Of one view whose render has run."""

@@ -137,7 +137,8 @@ def differences(found: SimulatedProduct) -> TerrainDifferences | str | None:
     final = _fitted(cells, chosen, x, cells.usable)
     sd = _standard_deviations(cells, chosen, final, cells.usable)
     told = tuple(
-        _difference(found, cells, name, float(final[k]), float(sd[k]), gains[k], ties[name]) for k, name in enumerate(chosen)
+        _difference(found, cells, name, float(final[k]), float(sd[k]), gains[k], ties[name])
+        for k, name in enumerate(chosen)
     )
     bare, after = cells.model([], np.zeros(0)).power, cells.model(chosen, x).power
     scatter = _Scatter.of(cells, after, halves[1])
