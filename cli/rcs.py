@@ -17,8 +17,8 @@ from warpsar.cli import options
     default="rcs",
     show_default=True,
     type=click.Path(file_okay=False, path_type=Path),
-    help="Folder for rcs.csv, rcs.png, rcs_polar.png and rcs.json (and rcs.parquet where pyarrow is there); made if "
-    "missing.",
+    help="Folder for report.html, rcs.csv, rcs.png, rcs_polar.png and rcs.json (and rcs.parquet where pyarrow is "
+    "there); made if missing.",
 )
 @click.option(
     "--material",

@@ -85,6 +85,9 @@ def test_a_mesh_file_needs_no_scene_file(tmp_path: Path) -> None:
     expected = 10.0 * np.log10(4.0 * np.pi * (35 * 0.03**2) ** 2 / 0.03**2)
     assert float(rows[0]["rcs_dbsm"]) == pytest.approx(expected, abs=0.01)  # an edge's current is 0 in the mirror
     assert {"rcs.png", "rcs_polar.png"} <= set(json.loads((tmp_path / "rcs.json").read_text())["files"])
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "Highest: " in page
+    assert page.count("data:image/png") >= 2
 
 
 @pytest.mark.parametrize(

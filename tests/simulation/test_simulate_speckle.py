@@ -94,6 +94,7 @@ def test_a_declared_scene_is_one_that_every_command_reads(scene: Path) -> None:
     a, b, c, d = (scene.parent / name for name in "abcd")
     done = warpsar("simulate", scene, "-o", a, "--looks", "4", "--declare")
     assert done.exit_code == 0, done.output
+    assert f"next: warpsar evaluate {a / 'scene.toml'} -o {a / 'evaluated'}" in done.output
     assert json.loads((a / "simulate.json").read_text())["scene"] == "scene.toml"
     declared = Scene.load(a / "scene.toml")
     for view in declared.views:

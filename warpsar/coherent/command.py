@@ -1,4 +1,4 @@
-"""The command `rcs`: rcs.csv, Parquet where a library for it is there, a plot, and rcs.json."""
+"""The command `rcs`: report.html, rcs.csv, Parquet where a library for it is there, a plot, and rcs.json."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from warpsar.coherent.interval import CONFIDENCE
 from warpsar.coherent.isar import refuse_steps, write_isar
 from warpsar.coherent.left_out import left_out
 from warpsar.coherent.rcs import FREQUENCIES_HZ, Rcs, RcsRequest, swept
+from warpsar.coherent.report import write_report
 from warpsar.coherent.sweep import RAYS_PER_WAVELENGTH
 from warpsar.errors import InputError
 from warpsar.io import figures
@@ -100,7 +101,7 @@ def run(
         console.say(str(told))
     found = swept(scene, asked, layers)
     console.warn(found.warnings[len(asked.cautions) :])
-    files = ["rcs.csv", "rcs.png", "rcs_polar.png", "rcs.json"]
+    files = ["report.html", "rcs.csv", "rcs.png", "rcs_polar.png", "rcs.json"]
     _write(out / "rcs.csv", COLUMNS, rows(found))
     if layers:
         files.append("layers.csv")
@@ -128,6 +129,12 @@ def run(
         "files": files,
     }
     content = write_json(out / "rcs.json", scene, where, None, started, content)
+    words = ["warpsar", "rcs", str(path), "-o", str(out), "--azimuths", azimuths, "--incidences", incidences]
+    words += ["--rays-per-wavelength", f"{rays_per_wavelength:g}", "--device", where.alias]
+    words += [] if material is None else ["--material", material]
+    words += [] if frequencies is None else ["--frequencies", frequencies]
+    words += ["--isar"] * isar + ["--layers"] * layers
+    write_report(out, found, content, words)
     console.say(f"{out}: {', '.join(files)}")
     return content
 

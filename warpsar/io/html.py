@@ -196,7 +196,7 @@ def reproduce(content: dict[str, Any], words: Sequence[str], beside: str) -> str
                 ("warpsar", content["version"]),
                 ("with", made_with),
                 ("device", content["device"]),
-                ("seed", str(content["seed"])),
+                *([] if content["seed"] is None else [("seed", str(content["seed"]))]),
                 ("time", f"{content['wall_time_s']:.1f} s"),
                 ("input", f"{content['input']['scene']}, SHA-256 {content['input']['sha256'][:16]}…"),
             ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
@@ -329,6 +330,11 @@ def run(
             said = said | {"scene": declare_speckled(scene, out, looks)}
         said = write_json(out / "simulate.json", scene, where, made.seed, started, said)
         console.say(written(out, said))
+        if declare:
+            file, folder = (shlex.quote(str(out / name)) for name in ("scene.toml", "evaluated"))
+            console.say(
+                f"next: warpsar evaluate {file} -o {folder} compares; warpsar learn and diagnose take this file, too"
+            )
         return said
 
     return once.write(write) or content
