@@ -22,6 +22,7 @@
 | `learned.py` | what has a derivative, by name |
 | `gradients.py` | `warpsar.rcs_gradients` |
 | `command.py` | the command `rcs`, of a scene file or a mesh file: table, plots, JSON |
+| `report.py` | report.html of the command |
 | `interval.py` | an interval for what the model leaves out |
 | `isar.py` | range profiles of a sweep, and the image of the body that they make |
 """
