@@ -28,7 +28,7 @@ from warpsar.kernels.incidence_table import DOUBLE, SINGLE
 from warpsar.kernels.lane_kernels import LANES, at_once
 from warpsar.kernels.scatter import scatter_kernel, sigma0_of
 from warpsar.models.base.model import DEFAULT
-from warpsar.render.crossed_spline import table
+from warpsar.render.ways.i2em import table
 from warpsar.world.scattering_term import learned
 
 FREQUENCY_HZ = 5.405e9  # the table has none; Dubois alone depends on it

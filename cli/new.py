@@ -72,7 +72,7 @@ def command(
         for name, value in given.items():
             if value is not None:
                 raise click.UsageError(f"{name}: found {value}; --example takes its own mesh and scene, leave it out")
-        from warpsar.scene.example import copy_example
+        from warpsar.scene.new import copy_example
 
         _say_next(copy_example(folder, force=force))
         return

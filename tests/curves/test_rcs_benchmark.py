@@ -92,7 +92,7 @@ def test_a_second_run_takes_its_amplitudes_from_the_cache(
     def never(*args: Any, **kwargs: Any) -> None:
         raise AssertionError("worked out again")
 
-    monkeypatch.setattr("warpsar.curves.amplitudes.rcs", never)
+    monkeypatch.setattr("warpsar.curves.observe.rcs", never)
     assert run(rcs, synthetic, tmp_path)["bodies"] == first["bodies"]
 
 

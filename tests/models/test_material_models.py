@@ -15,7 +15,7 @@ from warpsar import InputError, Material, Scene, learn, renderer, simulate
 from warpsar.kernels.codes import Polarization
 from warpsar.kernels.models import facet
 from warpsar.learning.problem import FitProblem
-from warpsar.learning.validity import outside_domains
+from warpsar.learning.trust import outside_domains
 from warpsar.surface.tables import Tables
 
 TABLE = "incidence_deg,HH,VV,HV\n20,-8,-7,-16\n40,-14,-12,-22\n60,-20,-16,-29\n"

@@ -16,8 +16,8 @@ from warpsar import Mesh, Scene, renderer
 from warpsar.kernels import crossed_spline
 from warpsar.kernels.codes import Spectrum
 from warpsar.kernels.lane_kernels import LANES, at_once
-from warpsar.render.crossed_spline import spline, table
 from warpsar.render.ways import i2em
+from warpsar.render.ways.i2em import spline, table
 from warpsar.runtime import launches
 
 SPECTRA = ["gaussian", "exponential"]
