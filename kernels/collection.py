@@ -295,8 +295,8 @@ def gain(beam: Beam, pulse: int, place: wp.vec3d, point: wp.vec3d) -> float:
 
 
 _ADD_TO_BINS = """
-    const int bins = out.shape[2];
-    float* const first = (float*)&wp::index(out, p, row, 0);
+    const int bins = bins_out.shape[2];
+    float* const first = (float*)&wp::index(bins_out, p, row, 0);
     const int odd = low & 1;
     int at = low - odd;
     float share[8];
@@ -329,7 +329,7 @@ _ADD_TO_BINS = """
 
 
 @wp.func_native(_ADD_TO_BINS)
-def add_to_bins(out: wp.array3d[wp.vec2], p: int, row: int, low: int, weights: Six, value: wp.vec2):  # type: ignore[no-untyped-def]
+def add_to_bins(bins_out: wp.array3d[wp.vec2], p: int, row: int, low: int, weights: Six, value: wp.vec2):  # type: ignore[no-untyped-def]
     """Weights times a value into WIDTH bins from `low` on, two bins to an atomic sum of four numbers where CUDA has it.
 
     The number of bins is even, and they go round.
@@ -449,11 +449,11 @@ def gather_kernel(
     point_in: wp.array[wp.vec3d],
     bins_in: wp.array2d[wp.vec2],
     # In and out:
-    amplitude_out: wp.array[wp.vec2d],
+    amplitude: wp.array[wp.vec2d],
 ):
     """The adjoint of a deposit of one polarization: a point takes from bins what it gave to them, turned back."""
     i = wp.tid()
-    total = amplitude_out[i]
+    total = amplitude[i]
     bins = bins_in.shape[1]
     for row in range(pulse_in.shape[0]):
         echo = echo_of(track, pulse_in[row], point_in[i], turns_per_metre)
@@ -472,7 +472,7 @@ def gather_kernel(
             wp.float64(value[0] * c + value[1] * s),
             wp.float64(value[1] * c - value[0] * s),
         )
-    amplitude_out[i] = total
+    amplitude[i] = total
 
 
 @wp.struct

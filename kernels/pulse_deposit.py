@@ -32,7 +32,7 @@ _DEPOSIT = """
     constexpr int CHUNK = 512, MOST = 4;
     double point[3][CHUNK] __attribute__((aligned(64))), velocity[3][CHUNK] __attribute__((aligned(64)));
     float amplitude[2 * MOST][CHUNK] __attribute__((aligned(64)));
-    const int count = scatterers.point.shape[0], pols = out.shape[1], pulses = pulse.shape[0];
+    const int count = scatterers.point.shape[0], pols = bins_out.shape[1], pulses = pulse.shape[0];
     const bool moving = scatterers.velocity.shape[0] > 0;
     const bool wide = track.beam.wide > 0.0f, high = track.beam.high > 0.0f;
     const int antennas = track.bistatic ? 2 : 1;
@@ -60,8 +60,8 @@ _DEPOSIT = """
             float* re[MOST];
             float* im[MOST];
             for (int p = 0; p < pols; ++p) {
-                re[p] = &wp::index(out, 0, p, row, 0);
-                im[p] = &wp::index(out, 1, p, row, 0);
+                re[p] = &wp::index(bins_out, 0, p, row, 0);
+                im[p] = &wp::index(bins_out, 1, p, row, 0);
             }
             for (int g = 0; g < groups; ++g) {
                 D x[3];
@@ -184,7 +184,7 @@ def deposit_pulses(
     bins: int,
     scatterers: MovingScatterers,
     table: wp.array[float],
-    out: wp.array4d[float],
+    bins_out: wp.array4d[float],
 ): ...
 
 

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import warp as wp
 
 from warpsar.kernels.codes import Polarization
+from warpsar.kernels.shade import HitSurfaces
 from warpsar.runtime.program import Program
+from warpsar.runtime.structs import fill
 from warpsar.surface.stage import Stage
 from warpsar.trace.hits import Hits
 
@@ -24,7 +27,6 @@ class ShadeRequest:
     program: Program
     stage: Stage
     hits: Hits
-    wavenumber: float
     polarization: Polarization
     spectrum: wp.array
     zeta: wp.array
@@ -32,14 +34,22 @@ class ShadeRequest:
     more: Sequence[wp.array] = ()
     """Coordinates beyond the first four, vec4 each, where a model of the scene has them"""
 
-    @property
-    def places(self) -> list[wp.array]:
-        """What all kernels read of a hit."""
-        return [self.hits.face, self.stage.face_material, self.hits.cos_incidence, self.hits.cos_twist]
-
-    @property
-    def local(self) -> int:
-        return int(self.stage.local_basis)
+    @cached_property
+    def surfaces(self) -> Any:
+        """The `kernels.HitSurfaces` that all kernels of sigma0 read."""
+        stage, hits = self.stage, self.hits
+        return fill(
+            HitSurfaces,
+            polarization=int(self.polarization),
+            variant=stage.variant,
+            wavenumber=hits.geometry.wavenumber,
+            local_basis=int(stage.local_basis),
+            face_material=stage.face_material,
+            spectrum=self.spectrum,
+            eps_im=stage.eps_im,
+            aspect=stage.aspect,
+            **{name: getattr(hits, name) for name in ("face", "cos_incidence", "cos_twist", "cos2_azimuth")},
+        )
 
 
 @dataclass(frozen=True)

@@ -39,7 +39,11 @@ def _tabled(asked: ShadeRequest, mine: wp.array, own: np.ndarray) -> Way:
     wave = program.array((n, DOUBLE, crossed_table.WAVES), wp.vec4d, grad=False)
     once = program.array((materials, SINGLE), wp.vec4, grad=False)
     twice = program.array((materials, DOUBLE), wp.vec4, grad=False)
-    given = [wp.float64(asked.wavenumber), wp.array(own, dtype=wp.vec2i, device=program.device), asked.spectrum]
+    given = [
+        wp.float64(asked.hits.geometry.wavenumber),
+        wp.array(own, dtype=wp.vec2i, device=program.device),
+        asked.spectrum,
+    ]
 
     def launch(kernel: wp.Kernel, dim: tuple[int, ...], inputs: list[Any], output: wp.array) -> None:
         program.launch(kernel, dim, [*given, *inputs], [output], adjoint=_nothing)
@@ -47,7 +51,7 @@ def _tabled(asked: ShadeRequest, mine: wp.array, own: np.ndarray) -> Way:
     launch(crossed_table.wave_kernel, wave.shape, [stage.eps_im, asked.zeta], wave)
     launch(crossed_table.double_kernel, (n, DOUBLE), [asked.zeta, wave], twice)
     launch(crossed_table.single_kernel, (n, SINGLE), [stage.eps_im, asked.zeta], once)
-    inputs = [mine, asked.local, *asked.places, once, twice]
+    inputs = [mine, asked.surfaces, once, twice]
     kernel, keeping = map(crossed_table.scatter_kernel, (False, True))
     return Way(kernel, keeping, inputs)
 
@@ -60,7 +64,7 @@ def _splined(asked: ShadeRequest, mine: wp.array, surfaces: dict[int, tuple[int,
     row = np.zeros(len(stage.surface.materials), np.int32)
     for m, surface in surfaces.items():
         row[m] = rows.index(surface)
-    inputs = [mine, asked.wavenumber, asked.local, *asked.places, asked.spectrum, stage.eps_im, asked.zeta]
+    inputs = [mine, asked.surfaces, asked.zeta]
     read = [*inputs, wp.array(row, dtype=int, device=device), table(tuple(rows), device)]
     kernel, keeping = (crossed_spline.scatter_kernel(kept, beyond=device.is_cpu) for kept in (False, True))
     found = [Way(kernel, keeping, read)]
