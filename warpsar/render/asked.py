@@ -10,9 +10,7 @@ from typing import Any
 import warp as wp
 
 from warpsar.kernels.codes import Polarization
-from warpsar.kernels.shade import HitSurfaces
 from warpsar.runtime.program import Program
-from warpsar.runtime.structs import fill
 from warpsar.surface.stage import Stage
 from warpsar.trace.hits import Hits
 
@@ -37,19 +35,7 @@ class ShadeRequest:
     @cached_property
     def surfaces(self) -> Any:
         """The `kernels.HitSurfaces` that all kernels of sigma0 read."""
-        stage, hits = self.stage, self.hits
-        return fill(
-            HitSurfaces,
-            polarization=int(self.polarization),
-            variant=stage.variant,
-            wavenumber=hits.geometry.wavenumber,
-            local_basis=int(stage.local_basis),
-            face_material=stage.face_material,
-            spectrum=self.spectrum,
-            eps_im=stage.eps_im,
-            aspect=stage.aspect,
-            **{name: getattr(hits, name) for name in ("face", "cos_incidence", "cos_twist", "cos2_azimuth")},
-        )
+        return self.stage.hit_surfaces(self.hits, self.polarization, self.spectrum)
 
 
 @dataclass(frozen=True)
