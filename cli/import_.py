@@ -18,19 +18,19 @@ TAPERS = ("none", "hann", "taylor")
     "sources",
     nargs=-1,
     required=True,
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    type=options.FILE,
     metavar="SOURCE...",
 )
 @click.option(
     "--scene",
     required=True,
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    type=options.FILE,
     help="The scene.toml to edit.",
 )
 @click.option("--view", help="Name of the view, for images. If it is missing, it is made from the file's own geometry.")
 @click.option(
     "--table",
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    type=options.FILE,
     help="In place of --view: a CSV of chip, azimuth_deg and depression_deg. Every SOURCE becomes a view.",
 )
 @click.option(

@@ -15,16 +15,10 @@ from warpsar.formats import registry
 @click.option(
     "--sites",
     required=True,
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    type=options.FILE,
     help="CSV of the reflectors: our own columns, or a table of GECORIS, UAVSAR, ISCE3 or NISAR.",
 )
-@click.option(
-    "-o",
-    "--out",
-    required=True,
-    type=click.Path(file_okay=False, path_type=Path),
-    help="Folder for report.html, reflectors.csv, reflectors.json and sites_isce3.csv; made if missing.",
-)
+@options.out("Folder for report.html, reflectors.csv, reflectors.json and sites_isce3.csv; made if missing.")
 @click.option(
     "--polarization",
     type=click.Choice(["HH", "HV", "VH", "VV"]),
@@ -88,12 +82,6 @@ def command(
     """
     from warpsar.calibration.command import run
 
-    words = ["warpsar", "reflectors", *map(str, products), "--sites", str(sites), "-o", str(out)]
-    words += ["--polarization", polarization] if polarization else []
-    words += ["--radiometry", radiometry] if radiometry else []
-    words += ["--allowance", *(f"{each:g}" for each in allowance), "--window", f"{window:g}"]
-    words += ["--closed-form"] if closed_form else []
-    words += ["--hold-back", hold_back] if hold_back else []
     run(
         products,
         sites,
@@ -106,5 +94,5 @@ def command(
         hold_back=hold_back,
         file_format=file_format,
         device=device,
-        command=words,
+        command=options.words(),
     )

@@ -15,16 +15,10 @@ from warpsar.formats import registry
 @click.option(
     "--dem",
     required=True,
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    type=options.FILE,
     help="GeoTIFF of heights [m], in any coordinate system that PROJ knows.",
 )
-@click.option(
-    "-o",
-    "--out",
-    required=True,
-    type=click.Path(file_okay=False, path_type=Path),
-    help="Folder for report.html, twin.json, the layers and pictures; made if missing.",
-)
+@options.out("Folder for report.html, twin.json, the layers and pictures; made if missing.")
 @click.option(
     "--geoid-offset",
     type=float,
@@ -49,7 +43,7 @@ from warpsar.formats import registry
 )
 @click.option(
     "--landcover",
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    type=options.FILE,
     help="GeoTIFF of land cover classes, in any coordinate system.",
 )
 @click.option(
@@ -62,7 +56,7 @@ from warpsar.formats import registry
 )
 @click.option(
     "--buildings",
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    type=options.FILE,
     help="Buildings on the DEM: GeoJSON outlines with heights, or CityGML.",
 )
 @click.option(
@@ -119,15 +113,6 @@ def command(
     """
     from warpsar.terrain.command import run
 
-    words = ["warpsar", "twin", str(product), "--dem", str(dem), "-o", str(out)]
-    words += ["--geoid-offset", f"{geoid_offset:g}"] if geoid_offset is not None else []
-    words += ["--crop", *(f"{each:.10g}" for each in crop)] if crop else []
-    words += ["--surface", surface]
-    words += ["--landcover", str(landcover), "--landcover-table", landcover_table] if landcover else []
-    words += ["--buildings", str(buildings)] if buildings else []
-    words += ["--polarization", polarization] if polarization else []
-    words += ["--radiometry", radiometry] if radiometry else []
-    words += [word for one in formats for word in ("--format", one)]
     run(
         product,
         dem,
@@ -143,5 +128,5 @@ def command(
         file_format=file_format,
         formats=formats,
         device=device,
-        command=words,
+        command=options.words(),
     )
