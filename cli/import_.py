@@ -33,14 +33,7 @@ TAPERS = ("none", "hann", "taylor")
     type=options.FILE,
     help="In place of --view: a CSV of chip, azimuth_deg and depression_deg. Every SOURCE becomes a view.",
 )
-@click.option(
-    "--format",
-    "file_format",
-    type=click.Choice(("auto", *registry.names())),
-    default="auto",
-    show_default=True,
-    help="Format of SOURCE.",
-)
+@options.file_format("--format", "Format of SOURCE.")
 @click.option(
     "--quantity",
     type=click.Choice(("amplitude", "power")),
@@ -61,11 +54,7 @@ TAPERS = ("none", "hann", "taylor")
     help="Where the radar is in a picture; bottom turns it upside down.",
 )
 @click.option("--spacing", nargs=2, type=float, metavar="RANGE AZIMUTH", help="Pixels of a picture [m].")
-@click.option(
-    "--polarization",
-    type=click.Choice(("HH", "HV", "VH", "VV")),
-    help="Needed where the file has several polarizations, or names none.",
-)
+@options.polarization("Needed where the file has several polarizations, or names none.")
 @click.option(
     "--window-range", type=click.Choice(TAPERS), default="none", show_default=True, help="Window over the band."
 )

@@ -11,6 +11,8 @@ from typing import Any, TypeVar
 import click
 from click.core import ParameterSource
 
+from warpsar.formats import registry
+
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
@@ -32,6 +34,21 @@ yes = click.option("--yes", is_flag=True, help="Take a mesh that is more than 50
 def out(words: str) -> Callable[[Command], Command]:
     """-o: the folder of what a command writes, in `words`."""
     return click.option("-o", "--out", required=True, type=click.Path(file_okay=False, path_type=Path), help=words)
+
+
+def polarization(words: str) -> Callable[[Command], Command]:
+    return click.option("--polarization", type=click.Choice(("HH", "HV", "VH", "VV")), help=words)
+
+
+def radiometry(whose: str) -> Callable[[Command], Command]:
+    words = f"What the power of {whose} is, for products that do not say (GAMMA)."
+    return click.option("--radiometry", type=click.Choice(("beta0", "sigma0", "gamma0")), help=words)
+
+
+def file_format(name: str, words: str) -> Callable[[Command], Command]:
+    """The format of what a radar measured, of all that the registry has."""
+    formats = click.Choice(("auto", *registry.names()))
+    return click.option(name, "file_format", type=formats, default="auto", show_default=True, help=words)
 
 
 def quiet() -> click.Option:

@@ -7,7 +7,6 @@ from pathlib import Path
 import click
 
 from warpsar.cli import options
-from warpsar.formats import registry
 
 
 @click.command(name="reflectors", short_help="Measure corner reflectors, predict them, explain the difference.")
@@ -19,16 +18,8 @@ from warpsar.formats import registry
     help="CSV of the reflectors: our own columns, or a table of GECORIS, UAVSAR, ISCE3 or NISAR.",
 )
 @options.out("Folder for report.html, reflectors.csv, reflectors.json and sites_isce3.csv; made if missing.")
-@click.option(
-    "--polarization",
-    type=click.Choice(["HH", "HV", "VH", "VV"]),
-    help="The images to take. Default: all that are co-polarized.",
-)
-@click.option(
-    "--radiometry",
-    type=click.Choice(["beta0", "sigma0", "gamma0"]),
-    help="What the power of an image is, for products that do not say (GAMMA).",
-)
+@options.polarization("The images to take. Default: all that are co-polarized.")
+@options.radiometry("an image")
 @click.option(
     "--allowance",
     nargs=2,
@@ -51,14 +42,7 @@ from warpsar.formats import registry
     metavar="DATE",
     help="Dates from this one on decide nothing: the earlier ones foretell their RCS. Such as 2024-06-01.",
 )
-@click.option(
-    "--format",
-    "file_format",
-    type=click.Choice(["auto", *registry.names()]),
-    default="auto",
-    show_default=True,
-    help="The products' format.",
-)
+@options.file_format("--format", "The products' format.")
 @options.device
 def command(
     products: tuple[Path, ...],

@@ -7,7 +7,6 @@ from pathlib import Path
 import click
 
 from warpsar.cli import options
-from warpsar.formats import registry
 
 
 @click.command(name="twin", short_help="Simulate a radar product from a DEM, on the product's own grid.")
@@ -59,16 +58,8 @@ from warpsar.formats import registry
     type=options.FILE,
     help="Buildings on the DEM: GeoJSON outlines with heights, or CityGML.",
 )
-@click.option(
-    "--polarization",
-    type=click.Choice(["HH", "HV", "VH", "VV"]),
-    help="The image to take, where the product has several.",
-)
-@click.option(
-    "--radiometry",
-    type=click.Choice(["beta0", "sigma0", "gamma0"]),
-    help="What the power of the image is, for products that do not say (GAMMA).",
-)
+@options.polarization("The image to take, where the product has several.")
+@options.radiometry("the image")
 @click.option(
     "--format",
     "formats",
@@ -78,14 +69,7 @@ from warpsar.formats import registry
     show_default=True,
     help="Format of the layers; may be given several times.",
 )
-@click.option(
-    "--product-format",
-    "file_format",
-    type=click.Choice(["auto", *registry.names()]),
-    default="auto",
-    show_default=True,
-    help="The product's format.",
-)
+@options.file_format("--product-format", "The product's format.")
 @options.device
 def command(
     product: Path,
