@@ -26,8 +26,9 @@ from warpsar.runtime import devices
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import limits
+import runs
 import tables
-from diagnosis_rates import CORRELATION_PX, LOOKS, SINGLE, judged, speckle, stored_runs, truth
+from diagnosis_rates import CORRELATION_PX, LOOKS, SINGLE, judged, speckle, truth
 from limits import Model, NoiseFree
 from limits_withdrawn import HeldViews
 
@@ -200,13 +201,13 @@ def main() -> None:
 
 
 @main.command()
-@click.option("-o", "--out", required=True, type=click.Path(file_okay=False, path_type=Path))
+@runs.out
 @click.option("--case", "cases", multiple=True, type=click.Choice(list(SINGLE)))
 @click.option("--looks", multiple=True, type=click.Choice([str(n) for n in LOOKS]))
 @click.option("--speckle", "kinds", multiple=True, type=click.Choice(KINDS))
 @click.option("--repeats", default=100, show_default=True, help="Draws of speckle.")
 @click.option("--draws", default=1000, show_default=True, help="Of the bootstrap.")
-@click.option("--device", help="cpu or cuda:0.")
+@runs.device
 def run(
     out: Path,
     cases: tuple[str, ...],
@@ -298,13 +299,13 @@ def _percent(share: float) -> str:
 
 
 @main.command()
-@click.option("-o", "--out", required=True, type=click.Path(file_okay=False, path_type=Path))
+@runs.out
 @click.option("--rates", type=click.Path(file_okay=False, path_type=Path), help="Folder of diagnosis_rates.py.")
-@click.option("--write", is_flag=True, help="Put the table into its page in docs/.")
+@runs.write
 def table(out: Path, rates: Path | None, write: bool) -> None:
     """Markdown of best.json beside what was found."""
     result = tables.stored(out / "best.json")
-    found = stored_runs(rates) if rates else []
+    found = runs.stored(rates) if rates else []
     tables.publish({"diagnosis_best": division(result["rows"], found)}, result, write)
 
 

@@ -8,7 +8,6 @@ A run appends one line of JSON to runs.jsonl in the folder; runs that are there 
 has its own speckle and its own rays, and begins at uniform maps. docs/diagnosis-method.md has the results.
 """
 
-import json
 import resource
 import sys
 import tempfile
@@ -23,6 +22,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
+import runs
 import tables
 from references import DATA, KEYS, changed, clean_images, measured, trained_on
 
@@ -68,7 +68,8 @@ def _table(case: str) -> dict[str, Any]:
     return table
 
 
-def one_run(case: str, looks: int, seed: int, draws: int, device: str | None) -> dict[str, Any]:
+def one_run(key: tuple[str, int, int], draws: int, device: str | None) -> dict[str, Any]:
+    case, looks, seed = key
     with tempfile.TemporaryDirectory() as folder:
         scene = scene_of(case, looks, seed, Path(folder))
         started, used = time.perf_counter(), time.process_time()
@@ -96,40 +97,29 @@ def one_run(case: str, looks: int, seed: int, draws: int, device: str | None) ->
     }
 
 
-def stored_runs(out: Path) -> list[dict[str, Any]]:
-    path = out / "runs.jsonl"
-    return [json.loads(line) for line in path.read_text().splitlines()] if path.is_file() else []
-
-
 @click.group()
 def main() -> None:
     """Diagnosis beside learned fields."""
 
 
 @main.command()
-@click.option("-o", "--out", required=True, type=click.Path(file_okay=False, path_type=Path))
+@runs.out
 @click.option("--case", "cases", multiple=True, type=click.Choice(CASES), help="Repeatable; default: all.")
 @click.option("--looks", multiple=True, type=click.Choice([str(n) for n in LOOKS]), help="Repeatable; default: all.")
 @click.option("--repeats", type=click.IntRange(min=1), default=1, show_default=True, help="Seeds from 0 on.")
-@click.option("--draws", type=int, default=DiagnoseOptions.draws, show_default=True, help="Of the bootstrap.")
-@click.option("--device")
+@runs.draws
+@runs.device
 def run(
     out: Path, cases: tuple[str, ...], looks: tuple[str, ...], repeats: int, draws: int, device: str | None
 ) -> None:
     """Make the runs that are not in the folder yet."""
-    out.mkdir(parents=True, exist_ok=True)
-    done = {(r["case"], r["looks"], r["seed"]) for r in stored_runs(out)}
-    when = tables.made()
-    for seed in range(repeats):
-        for case in cases or CASES:
-            for number in (int(n) for n in looks or map(str, LOOKS)):
-                if (case, number, seed) in done:
-                    continue
-                row = one_run(case, number, seed, draws, device)
-                with (out / "runs.jsonl").open("a") as stream:
-                    stream.write(json.dumps(row | when) + "\n")
-                said = ", ".join(row["verdict"]) or "nothing"
-                click.echo(f"{case}, {number} looks, seed {seed}: {said}, {row['seconds']} s", err=True)
+    numbers = [int(n) for n in looks] or LOOKS
+    runs.append(
+        out, ((case, n, seed) for seed in range(repeats) for case in cases or CASES for n in numbers), one_run,
+        lambda row: f"{row['case']}, {row['looks']} looks, seed {row['seed']}: "
+        f"{', '.join(row['verdict']) or 'nothing'}, {row['seconds']} s",
+        draws, device, key_of=lambda row: (row["case"], row["looks"], row["seed"]),
+    )  # fmt: skip
 
 
 def rates(rows: Sequence[dict[str, Any]]) -> str:
@@ -164,13 +154,12 @@ def rates(rows: Sequence[dict[str, Any]]) -> str:
 
 
 @main.command()
-@click.option("-o", "--out", required=True, type=click.Path(file_okay=False, path_type=Path))
-@click.option("--write", is_flag=True, help="Put the table into its page in docs/, with the date of its oldest run.")
+@runs.out
+@runs.write
 def table(out: Path, write: bool) -> None:
     """Markdown of what the folder holds."""
-    rows = stored_runs(out)
-    oldest = min(({key: row[key] for key in ("date", "commit")} for row in rows), key=lambda made: made["date"])
-    tables.publish({"diagnosis_fields": rates(rows)}, {"made": oldest}, write)
+    rows = runs.stored(out)
+    tables.publish({"diagnosis_fields": rates(rows)}, runs.oldest(rows), write)
 
 
 if __name__ == "__main__":

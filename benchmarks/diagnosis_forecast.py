@@ -8,7 +8,6 @@ What is announced before the search, for as many effects as were then found, is 
 docs/diagnosis-rates.md has the table.
 """
 
-import json
 import os
 import sys
 import time
@@ -19,16 +18,14 @@ import click
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
+import runs
 import tables
-from diagnosis_time import in_own_processes
+from diagnosis_time import add_run, out_option
 
 from warpsar.diagnosis import command
 from warpsar.diagnosis.search import procedure
 from warpsar.diagnosis.search.forecast import DiagnosisForecast
 from warpsar.runtime import devices, threads
-
-FOLDER = click.Path(file_okay=False, path_type=Path)
-out_option = click.option("-o", "--out", default="out/diagnosis_forecast", show_default=True, type=FOLDER)
 
 
 def one_case(case: Path, out: Path, device: str) -> dict[str, Any]:
@@ -66,26 +63,15 @@ def main() -> None:
     """Hold the forecast of `warpsar diagnose` against the clock."""
 
 
-@main.command()
-@click.argument("cases", nargs=-1, required=True, type=FOLDER)
-@out_option
-@click.option("--device", default="cpu", show_default=True)
-def run(cases: tuple[Path, ...], out: Path, device: str) -> None:
-    """Diagnose each of CASES in a process of its own."""
-    out.mkdir(parents=True, exist_ok=True)
-    if in_own_processes(__file__, cases, out, device):
-        return
-    result = one_case(cases[0], out, device)
-    tables.save(out / f"{cases[0].name}.json", result)
-    print(json.dumps(result))
+add_run(main, __file__, one_case)
 
 
 @main.command()
-@out_option
-@click.option("--write", is_flag=True, help="put the table into docs/diagnosis-rates.md")
+@out_option(__file__)
+@runs.write
 def table(out: Path, write: bool) -> None:
     """The runs in OUT as a table."""
-    runs = sorted((tables.stored(path) for path in out.glob("*.json")), key=lambda one: one["took_s"])
+    stored = sorted((tables.stored(path) for path in out.glob("*.json")), key=lambda one: one["took_s"])
     header = ["case", "effects found", "announced for so many", "took", "took / announced"]
     rows = [
         [
@@ -95,9 +81,9 @@ def table(out: Path, write: bool) -> None:
             f"{one['took_s']:.0f} s",
             f"{one['took_s'] / one['said_s']:.2f}",
         ]
-        for one in runs
+        for one in stored
     ]
-    tables.publish({"diagnosis_forecast": tables.markdown(header, rows)}, runs[-1], write)
+    tables.publish({"diagnosis_forecast": tables.markdown(header, rows)}, stored[-1], write)
 
 
 if __name__ == "__main__":

@@ -30,8 +30,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import diagnosis_rates
 import limits
+import runs
 import tables
-from diagnosis_rates import append_runs, speckle, stored_runs
+from diagnosis_rates import speckle
 from pairs_scenes import SCENES
 
 from warpsar.diagnosis.found import DiagnoseOptions
@@ -211,22 +212,20 @@ def main() -> None:
 
 
 @main.command()
-@click.option("-o", "--out", required=True, type=click.Path(file_okay=False, path_type=Path))
-@click.option("--first", default=0, show_default=True, help="Number of the first combination.")
+@runs.out
+@runs.first
 @click.option("--combinations", default=COMBINATIONS, show_default=True, help="How many.")
-@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Runs side by side.")
-@click.option("--max-time", type=float, default=float("inf"), help="Start no run after so many seconds.")
-@click.option("--draws", type=int, default=DiagnoseOptions.draws, show_default=True)
-@click.option("--device")
+@runs.jobs(1)
+@runs.max_time
+@runs.draws
+@runs.device
 def run(out: Path, first: int, combinations: int, jobs: int, max_time: float, draws: int, device: str | None) -> None:
     """Make the runs that are not in the folder yet."""
-    out.mkdir(parents=True, exist_ok=True)
     where = devices.resolve_device(device).alias
-    done = {row["number"] for row in stored_runs(out)}
-    keys = [number for number in range(first, first + combinations) if number not in done]
-    append_runs(
-        out, keys, jobs, max_time, (DiagnoseOptions(draws=draws), where, out), one_run,
+    runs.append(
+        out, range(first, first + combinations), one_run,
         lambda row: f"{'+'.join(row['effects'])}: {row['verdict']}, {row['seconds']} s",
+        DiagnoseOptions(draws=draws), where, out, jobs=jobs, max_time=max_time,
     )  # fmt: skip
 
 
@@ -292,17 +291,16 @@ def failures(rows: Sequence[Mapping[str, Any]]) -> Iterator[list[Any]]:
 
 
 @main.command()
-@click.option("-o", "--out", required=True, type=click.Path(file_okay=False, path_type=Path))
-@click.option("--write", is_flag=True, help="Put the tables into their page in docs/.")
+@runs.out
+@runs.write
 def table(out: Path, write: bool) -> None:
     """Print the shares and the failures; write pairs.json."""
-    rows = stored_runs(out)
-    oldest = min(rows, key=lambda row: row.get("date", ""))
-    when = {key: oldest.get(key, tables.UNKNOWN) for key in ("date", "commit")}
+    rows = runs.stored(out)
+    made = runs.oldest(rows)
     header = ["no.", "scene", "looks", "missing", "named", "expected gain", "", "test deviance", "why"]
     bodies = {"diagnosis_pairs": shares(rows), "diagnosis_pairs_failures": tables.markdown(header, failures(rows))}
-    tables.save(out / "pairs.json", {"made": when, "runs": rows})
-    tables.publish(bodies, {"made": when}, write)
+    tables.save(out / "pairs.json", {**made, "runs": rows})
+    tables.publish(bodies, made, write)
 
 
 if __name__ == "__main__":

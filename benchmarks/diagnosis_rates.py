@@ -10,13 +10,10 @@ has its own speckle, its own rays and its own wrong start. docs/diagnosis-rates.
 """
 
 import json
-import multiprocessing
-import os
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
@@ -26,10 +23,11 @@ from unittest.mock import patch
 import click
 import numpy as np
 
-from warpsar.runtime import console, devices
+from warpsar.runtime import devices
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
+import runs
 import tables
 
 from warpsar.diagnosis.found import DiagnoseOptions
@@ -237,28 +235,23 @@ def wanted(
                 yield name, number, kind, seed
 
 
-def stored_runs(out: Path) -> list[dict[str, Any]]:
-    path = out / "runs.jsonl"
-    return [json.loads(line) for line in path.read_text().splitlines()] if path.is_file() else []
-
-
 @click.group()
 def main() -> None:
     """Detection and false-alarm rates of `warpsar diagnose`."""
 
 
 @main.command()
-@click.option("-o", "--out", required=True, type=click.Path(file_okay=False, path_type=Path))
+@runs.out
 @click.option("--case", "cases", multiple=True, type=click.Choice(list(CASES)), help="Repeatable; default: all.")
 @click.option("--looks", multiple=True, type=click.Choice([str(n) for n in LOOKS]), help="Repeatable; default: all.")
 @click.option("--speckle", "kinds", multiple=True, type=click.Choice(["white", "correlated"]), help="Default: both.")
 @click.option("--repeats", type=click.IntRange(min=1), help="Default: 100 of none, 20 of each other case.")
-@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Runs side by side.")
-@click.option("--max-time", type=float, default=float("inf"), help="Start no run after so many seconds.")
+@runs.jobs(1)
+@runs.max_time
 @click.option("--family-error", type=float, default=DiagnoseOptions.family_error, show_default=True)
-@click.option("--draws", type=int, default=DiagnoseOptions.draws, show_default=True)
+@runs.draws
 @click.option("--always-bodies", is_flag=True, help="Try bodies in every turn. Such runs need a folder of their own.")
-@click.option("--device")
+@runs.device
 def run(
     out: Path,
     cases: tuple[str, ...],
@@ -276,63 +269,18 @@ def run(
     out.mkdir(parents=True, exist_ok=True)
     options = DiagnoseOptions(family_error=family_error, draws=draws)
     where = devices.resolve_device(device)
-    done = {(r["case"], r["looks"], r["speckle"], r["seed"]) for r in stored_runs(out)}
     end = time.perf_counter() + max_time
     cases = cases or tuple(CASES)
     for name in cases:
         clean_images(CASES[name], where.alias, out, name)
     numbers = [int(n) for n in looks] or list(LOOKS)
-    keys = [key for key in wanted(cases, numbers, kinds or ("white", "correlated"), repeats) if key not in done]
-    append_runs(
-        out, keys, jobs, end - time.perf_counter(), (options, where.alias, out, always_bodies), one_run,
+    runs.append(
+        out, wanted(cases, numbers, kinds or ("white", "correlated"), repeats), one_run,
         lambda row: f"{row['case']}, {row['looks']} looks, {row['speckle']}, seed {row['seed']}: {row['verdict']}"
         f"{' unexplained' if row['unexplained'] else ''}, {row['seconds']} s",
+        options, where.alias, out, always_bodies, jobs=jobs, max_time=end - time.perf_counter(),
+        key_of=lambda row: (row["case"], row["looks"], row["speckle"], row["seed"]),
     )  # fmt: skip
-
-
-def append_runs(
-    out: Path,
-    keys: Sequence[Any],
-    jobs: int,
-    max_time: float,
-    options: tuple[Any, ...],
-    work: Callable[..., dict[str, Any]],
-    words: Callable[[dict[str, Any]], str],
-) -> None:
-    """`work` of every key, `jobs` at a time, each as a line of the folder's runs.jsonl; `words` of it on stderr.
-
-    None is begun after `max_time` seconds.
-    """
-    bar = console.progress(len(keys), "runs", "run")
-    when, end = tables.made(), time.perf_counter() + max_time
-    for row in side_by_side(keys, jobs, end, options, work):
-        with (out / "runs.jsonl").open("a") as stream:
-            stream.write(json.dumps(row | when) + "\n")
-        bar.update()
-        click.echo(words(row), err=True)
-    bar.close()
-
-
-def side_by_side(
-    keys: Sequence[Any],
-    jobs: int,
-    end: float,
-    options: tuple[Any, ...],
-    work: Callable[..., dict[str, Any]] = one_run,
-) -> Iterator[dict[str, Any]]:
-    """`work` of every key as it is done, `jobs` at a time; none is begun after the time `end`."""
-    left = iter(keys)
-    at_work: set[Future[dict[str, Any]]] = set()
-    if jobs > 1:  # a core for each; the children read it when they import NumPy
-        os.environ.update(dict.fromkeys(("WARPSAR_THREADS", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"), "1"))
-    with ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn")) as pool:
-        while True:
-            while len(at_work) < jobs and time.perf_counter() < end and (key := next(left, None)) is not None:
-                at_work.add(pool.submit(work, key, *options))
-            if not at_work:
-                break
-            ready, at_work = wait(at_work, return_when=FIRST_COMPLETED)
-            yield from (one.result() for one in ready)
 
 
 def judged(row: Mapping[str, Any]) -> str:
@@ -388,16 +336,13 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
 
 @main.command()
-@click.option("-o", "--out", required=True, type=click.Path(file_okay=False, path_type=Path))
-@click.option("--write", is_flag=True, help="Put the table into its page in docs/, with the date of its oldest run.")
+@runs.out
+@runs.write
 def table(out: Path, write: bool) -> None:
     """Markdown of what the folder holds, and rates.json: every kind of speckle by itself."""
-    rows = stored_runs(out)
+    rows = runs.stored(out)
     (out / "rates.json").write_text(json.dumps(summary(rows), indent=1) + "\n")
-    undated = dict.fromkeys(("date", "commit"), tables.UNKNOWN)
-    dates = [{key: row.get(key, tables.UNKNOWN) for key in undated} for row in rows]
-    oldest = undated if undated in dates else min(dates, key=lambda made: made["date"])
-    tables.publish({"diagnosis_rates": rates(rows)}, {"made": oldest}, write)
+    tables.publish({"diagnosis_rates": rates(rows)}, runs.oldest(rows), write)
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ import click
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
+import runs
 import tables
 
 from warpsar.diagnosis import command
@@ -129,44 +130,45 @@ def one_case(case: Path, out: Path, device: str) -> dict[str, Any]:
     }
 
 
-def in_own_processes(script: str, cases: Sequence[Path], out: Path, device: str) -> bool:
-    """Let the `script` run each of several cases in a process of its own; whether there are several."""
-    if len(cases) < 2:
-        return False
-    for case in cases:
-        subprocess.run([sys.executable, script, "run", str(case), "-o", str(out), "--device", device], check=True)
-    return True
-
-
 @click.group()
 def main() -> None:
     """Time `warpsar diagnose`."""
 
 
-FOLDER = click.Path(file_okay=False, path_type=Path)
-out_option = click.option("-o", "--out", default="out/diagnosis_time", show_default=True, type=FOLDER)
+def add_run(group: click.Group, script: str, one_case: Callable[[Path, Path, str], dict[str, Any]]) -> None:
+    """The command `run` of a `script` that diagnoses cases: each in a process of its own, which leaves a JSON file."""
+
+    @group.command()
+    @click.argument("cases", nargs=-1, required=True, type=runs.FOLDER)
+    @out_option(script)
+    @click.option("--device", default="cpu", show_default=True)
+    def run(cases: tuple[Path, ...], out: Path, device: str) -> None:
+        """Diagnose each of CASES in a process of its own."""
+        out.mkdir(parents=True, exist_ok=True)
+        if len(cases) > 1:
+            for case in cases:
+                command = [sys.executable, script, "run", str(case), "-o", str(out), "--device", device]
+                subprocess.run(command, check=True)
+            return
+        result = one_case(cases[0], out, device)
+        tables.save(out / f"{cases[0].name}.{device.partition(':')[0]}.json", result)
+        print(json.dumps(result))
+
+
+def out_option(script: str) -> Any:
+    """-o, by default the folder of out/ that is called as the script."""
+    return click.option("-o", "--out", default=f"out/{Path(script).stem}", show_default=True, type=runs.FOLDER)
+
+
+add_run(main, __file__, one_case)
 
 
 @main.command()
-@click.argument("cases", nargs=-1, required=True, type=FOLDER)
-@out_option
-@click.option("--device", default="cpu", show_default=True)
-def run(cases: tuple[Path, ...], out: Path, device: str) -> None:
-    """Diagnose each of CASES in a process of its own."""
-    out.mkdir(parents=True, exist_ok=True)
-    if in_own_processes(__file__, cases, out, device):
-        return
-    result = one_case(cases[0], out, device)
-    tables.save(out / f"{cases[0].name}.{device.partition(':')[0]}.json", result)
-    print(json.dumps(result))
-
-
-@main.command()
-@out_option
-@click.option("--write", is_flag=True, help="put the table into docs/diagnosis-rates.md")
+@out_option(__file__)
+@runs.write
 def table(out: Path, write: bool) -> None:
     """The runs in OUT as a table."""
-    runs = sorted((tables.stored(path) for path in out.glob("*.json")), key=lambda one: (one["device"], one["cpu_s"]))
+    stored = sorted((tables.stored(path) for path in out.glob("*.json")), key=lambda one: (one["device"], one["cpu_s"]))
     header = ["case", "device", "found", "wall", "CPU", *PHASES, "Jacobians", "images"]
     rows = [
         [
@@ -178,9 +180,9 @@ def table(out: Path, write: bool) -> None:
             one["work"]["jacobians"],
             one["work"]["images"],
         ]
-        for one in runs
+        for one in stored
     ]
-    tables.publish({"diagnosis_time": tables.markdown(header, rows)}, runs[-1], write)
+    tables.publish({"diagnosis_time": tables.markdown(header, rows)}, stored[-1], write)
 
 
 if __name__ == "__main__":

@@ -39,7 +39,7 @@ from gallery_shapes import Parts, all_of, turn
 
 import warpsar
 from warpsar.effects.registry import validate
-from warpsar.scene.fitted_grid import fitted_grid
+from warpsar.scene.new import fitted_grid
 from warpsar.world.collection import Collection
 from warpsar.world.frame import SPEED_OF_LIGHT, view_geometry
 from warpsar.world.objects.shapes import body

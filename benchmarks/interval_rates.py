@@ -21,8 +21,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
+import runs
 import tables
-from diagnosis_rates import append_runs, stored_runs
 from judgement_rates import bounds, with_images
 from search_rates import group_of, kinds_of, started, visible
 
@@ -102,30 +102,28 @@ def main() -> None:
 
 
 @main.command()
-@click.option("-o", "--out", required=True, type=click.Path(file_okay=False, path_type=Path))
-@click.option("--first", type=click.IntRange(min=0), default=0, show_default=True, help="Number of the first scene.")
-@click.option("--scenes", type=click.IntRange(min=1), default=300, show_default=True)
-@click.option("--jobs", type=click.IntRange(min=1), default=2, show_default=True, help="Runs side by side.")
-@click.option("--max-time", type=float, default=float("inf"), help="Start no run after so many seconds.")
-@click.option("--device")
+@runs.out
+@runs.first
+@runs.scenes(300)
+@runs.jobs(2)
+@runs.max_time
+@runs.device
 def run(out: Path, first: int, scenes: int, jobs: int, max_time: float, device: str | None) -> None:
     """Make the runs that are not in the folder yet."""
-    out.mkdir(parents=True, exist_ok=True)
     where = devices.resolve_device(device)
-    done = {row["number"] for row in stored_runs(out)}
-    numbers = [n for n in range(first, first + scenes) if n not in done and group_of(n) != "outside"]
-    append_runs(
-        out, numbers, jobs, max_time, (where.alias,), one_run,
+    runs.append(
+        out, (n for n in range(first, first + scenes) if group_of(n) != "outside"), one_run,
         lambda row: f"{row['number']}: {', '.join(row['kinds'] or ()) or 'nothing'}",
+        where.alias, jobs=jobs, max_time=max_time,
     )  # fmt: skip
 
 
 @main.command()
-@click.option("-o", "--out", required=True, type=click.Path(file_okay=False, path_type=Path))
-@click.option("--write", is_flag=True, help="Write the table into docs/diagnosis-rates.md.")
+@runs.out
+@runs.write
 def table(out: Path, write: bool) -> None:
     """The rates of the runs that are there."""
-    rows = [row for row in stored_runs(out) if row["kinds"] is not None]
+    rows = [row for row in runs.stored(out) if row["kinds"] is not None]
     by_key: dict[str, list[list[Any]]] = {}
     for row in rows:
         for name, *of in row["intervals"]:
@@ -148,8 +146,7 @@ def table(out: Path, write: bool) -> None:
             ]
         )
     head = ["", "intervals", "hold the truth", "95 %", "of these, one end is a bound", "not told"]
-    oldest = min(({key: row[key] for key in ("date", "commit")} for row in rows), key=lambda one: one["date"])
-    tables.publish({"interval_rates": tables.markdown(head, lines)}, {"made": oldest}, write)
+    tables.publish({"interval_rates": tables.markdown(head, lines)}, runs.oldest(rows), write)
     seconds = [row["cpu_seconds"] for row in rows]
     click.echo(
         f"{len(rows)} scenes; CPU seconds of the intervals: median {np.median(seconds):.2f}, most {max(seconds):.1f}"

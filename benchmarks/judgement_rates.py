@@ -28,8 +28,8 @@ from warpsar.runtime import devices
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
+import runs
 import tables
-from diagnosis_rates import append_runs, stored_runs
 
 from warpsar.compare.comparison import compare
 from warpsar.diagnosis.command import in_short
@@ -431,37 +431,33 @@ def main() -> None:
 
 
 @main.command()
-@click.option("-o", "--out", required=True, type=click.Path(file_okay=False, path_type=Path))
-@click.option("--scenes", type=click.IntRange(min=1), default=240, show_default=True)
+@runs.out
+@runs.scenes(240)
 @click.option(
     "--kind", "kinds", multiple=True, type=click.Choice(["nothing", *WRONG]), help="Repeatable; default: all."
 )
-@click.option("--jobs", type=click.IntRange(min=1), default=2, show_default=True, help="Runs side by side.")
-@click.option(
-    "--minutes", type=float, default=MINUTES, show_default=True, help="Limit of a search where something is wrong."
-)
-@click.option("--max-time", type=float, default=float("inf"), help="Start no run after so many seconds.")
-@click.option("--device")
+@runs.jobs(2)
+@runs.minutes(MINUTES)
+@runs.max_time
+@runs.device
 def run(
     out: Path, scenes: int, kinds: tuple[str, ...], jobs: int, minutes: float, max_time: float, device: str | None
 ) -> None:
     """Make the runs that are not in the folder yet."""
-    out.mkdir(parents=True, exist_ok=True)
     where = devices.resolve_device(device)
-    done = {row["number"] for row in stored_runs(out)}
-    numbers = [n for n in range(scenes) if n not in done and (not kinds or kind_of(n) in kinds)]
-    append_runs(
-        out, numbers, jobs, max_time, (where.alias, minutes), one_run,
+    runs.append(
+        out, (n for n in range(scenes) if not kinds or kind_of(n) in kinds), one_run,
         lambda row: f"{row['number']} {row['kind']}, {row['looks']:g} looks: {row['line']}, {row['seconds']} s",
+        where.alias, minutes, jobs=jobs, max_time=max_time,
     )  # fmt: skip
 
 
 @main.command()
-@click.option("-o", "--out", required=True, type=click.Path(file_okay=False, path_type=Path))
-@click.option("--write", is_flag=True, help="Write the tables into docs/judgement.md.")
+@runs.out
+@runs.write
 def table(out: Path, write: bool) -> None:
     """The rates of the runs that are there."""
-    rows = stored_runs(out)
+    rows = runs.stored(out)
     lines = []
     for kind in ("nothing", *WRONG):
         mine = [row for row in rows if row["kind"] == kind]
@@ -483,8 +479,7 @@ def table(out: Path, write: bool) -> None:
         "judgement_rates": tables.markdown(head, lines),
         "judgement_rates_sums": tables.markdown(["", "scenes", "95 %"], rates),
     }
-    oldest = min(({key: row[key] for key in ("date", "commit")} for row in rows), key=lambda one: one["date"])
-    tables.publish(bodies, {"made": oldest}, write)
+    tables.publish(bodies, runs.oldest(rows), write)
 
 
 if __name__ == "__main__":

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 import warpsar
 from warpsar.curves import sectors
-from warpsar.curves.amplitudes import amplitudes
 from warpsar.curves.angles import independent_deg, width_m
+from warpsar.curves.observe import amplitudes
 from warpsar.curves.observed import ObservedCurve
 from warpsar.curves.search import CANDIDATES, DECLARED, TermSearch, by_sector
 from warpsar.errors import InputError

@@ -35,7 +35,7 @@ from scipy.optimize import minimize
 import warpsar
 from warpsar.coherent import interval
 from warpsar.coherent.rcs import Rcs, rcs
-from warpsar.curves.amplitudes import amplitudes
+from warpsar.curves.observe import amplitudes
 from warpsar.curves.sectors import apertures
 from warpsar.io import curves
 from warpsar.world.frame import SPEED_OF_LIGHT

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from rcs_curves import LOBES_DEG, Work
 
 from warpsar.curves import metrics, sectors
-from warpsar.curves.amplitudes import amplitudes
 from warpsar.curves.noise import Noises, densities, fit
+from warpsar.curves.observe import amplitudes
 from warpsar.curves.observed import ObservedCurve
 from warpsar.curves.search import ask
 from warpsar.curves.shape import likelihood, on_grid, profiles

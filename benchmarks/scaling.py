@@ -81,7 +81,7 @@ def learn(ranks: Any, device: Any, options: argparse.Namespace, folder: Path) ->
     from warpsar.learning.metrics import pooled_metrics
     from warpsar.learning.optimise import begin
     from warpsar.learning.problem import FitProblem
-    from warpsar.learning.validity import outside_domains
+    from warpsar.learning.trust import outside_domains
 
     scene = town_of(ranks, device, options, folder)
     clock = partial(timed, ranks, device)

@@ -27,8 +27,10 @@ from warpsar.kernels.codes import FRACTION_LIMIT, Polarization, Spectrum
 from warpsar.kernels.incidence_table import DOUBLE, SINGLE
 from warpsar.kernels.lane_kernels import LANES, at_once
 from warpsar.kernels.scatter import scatter_kernel, sigma0_of
+from warpsar.kernels.shade import HitSurfaces
 from warpsar.models.base.model import DEFAULT
-from warpsar.render.crossed_spline import table
+from warpsar.render.ways.i2em import table
+from warpsar.runtime.structs import fill
 from warpsar.world.scattering_term import learned
 
 FREQUENCY_HZ = 5.405e9  # the table has none; Dubois alone depends on it
@@ -255,23 +257,34 @@ def launcher(model: str, channel: str, a: dict[str, Any], device: str, *, slopes
     before: list[Any] = []
     after: list[Any] = []
     cpu, count = device == "cpu", hits_of(device)
-    places = [a["face"], a["material"], a["cosine"], a["twist"]]
+    surfaces = fill(
+        HitSurfaces,
+        polarization=polarization,
+        wavenumber=200.0,
+        face=a["face"],
+        face_material=a["material"],
+        cos_incidence=a["cosine"],
+        cos_twist=a["twist"],
+        cos2_azimuth=a["azimuth"],
+        spectrum=a["spectrum"],
+        eps_im=a["loss"],
+        aspect=a["aspect"],
+    )
     out = [a["sigma"], a["slopes"] if slopes else a["none"]]
     if model == "i2em" and channel == "HV":
         made, before = tables_of(a, device)
-        inputs = [a["mine"], 0, *places, *made]
+        inputs = [a["mine"], surfaces, *made]
         kernel = crossed_table.scatter_kernel(slopes)
     elif model == "i2em" and channel == VARYING:
         made = table(((int(a["spectrum"].numpy()[0]), 1.0),), wp.get_device(device))
         row = wp.zeros(1, dtype=int, device=device)
-        inputs = [a["mine"], 200.0, 0, *places, a["spectrum"], a["loss"], a["varying"], row, made]
+        inputs = [a["mine"], surfaces, a["varying"], row, made]
         kernel = crossed_spline.scatter_kernel(slopes, beyond=cpu)
         if not cpu:
             beyond = crossed_spline.beyond_kernel
             after = [wp.launch(beyond, count, inputs=inputs[:-2], outputs=out, device=device, record_cmd=True)]
     else:
-        surface = [a[name] for name in ("azimuth", "spectrum", "loss", "aspect", "zeta")]
-        inputs = [a["mine"], polarization, 0, 200.0, 0, *places, *surface]
+        inputs = [a["mine"], surfaces, a["zeta"]]
         default = model == DEFAULT
         fixed = None if cpu or default else Polarization(polarization)
         kernel = scatter_kernel(model, slopes, fixed, some=not default)

@@ -27,8 +27,8 @@ from scipy.ndimage import gaussian_filter, gaussian_filter1d, map_coordinates
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
+import runs
 import tables
-from diagnosis_rates import append_runs, stored_runs
 from judgement_rates import (
     KEYS,
     SEEN,
@@ -541,31 +541,29 @@ def main() -> None:
 
 
 @main.command()
-@click.option("-o", "--out", required=True, type=click.Path(file_okay=False, path_type=Path))
-@click.option("--first", type=click.IntRange(min=0), default=0, show_default=True, help="Number of the first scene.")
-@click.option("--scenes", type=click.IntRange(min=1), default=300, show_default=True)
-@click.option("--jobs", type=click.IntRange(min=1), default=2, show_default=True, help="Runs side by side.")
-@click.option("--minutes", type=float, default=MOST_MINUTES, show_default=True, help="Limit of one search.")
-@click.option("--max-time", type=float, default=float("inf"), help="Start no run after so many seconds.")
-@click.option("--device")
+@runs.out
+@runs.first
+@runs.scenes(300)
+@runs.jobs(2)
+@runs.minutes(MOST_MINUTES)
+@runs.max_time
+@runs.device
 def run(out: Path, first: int, scenes: int, jobs: int, minutes: float, max_time: float, device: str | None) -> None:
     """Make the runs that are not in the folder yet."""
-    out.mkdir(parents=True, exist_ok=True)
     where = devices.resolve_device(device)
-    done = {row["number"] for row in stored_runs(out)}
-    numbers = [n for n in range(first, first + scenes) if n not in done]
-    append_runs(
-        out, numbers, jobs, max_time, (where.alias, minutes), one_run,
+    runs.append(
+        out, range(first, first + scenes), one_run,
         lambda row: f"{row['number']} {', '.join(row['kinds']) or 'nothing'}: {outcome(row)}: {row['line']}",
+        where.alias, minutes, jobs=jobs, max_time=max_time,
     )  # fmt: skip
 
 
 @main.command()
-@click.option("-o", "--out", required=True, type=click.Path(file_okay=False, path_type=Path))
-@click.option("--write", is_flag=True, help="Write the tables into docs/diagnosis-rates.md.")
+@runs.out
+@runs.write
 def table(out: Path, write: bool) -> None:
     """The rates of the runs that are there."""
-    rows = stored_runs(out)
+    rows = runs.stored(out)
     lines = []
     for group, kinds in (("nothing", ["nothing"]), ("known", [*KNOWN, "several"]), ("outside", [*OUTSIDE])):
         for kind in kinds:
@@ -605,8 +603,7 @@ def table(out: Path, write: bool) -> None:
         "search_rates": tables.markdown(head, lines),
         "search_rates_sums": tables.markdown(["", "scenes", "95 %"], sums),
     }
-    oldest = min(({key: row[key] for key in ("date", "commit")} for row in rows), key=lambda one: one["date"])
-    tables.publish(bodies, {"made": oldest}, write)
+    tables.publish(bodies, runs.oldest(rows), write)
 
 
 def label(row: Mapping[str, Any]) -> str:

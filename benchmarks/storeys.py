@@ -12,7 +12,6 @@ the file's: what there is to be found at all.
 """
 
 import json
-import math
 import sys
 import tempfile
 import time
@@ -26,8 +25,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
+import runs
 import tables
-from diagnosis_rates import append_runs, stored_runs
 from judgement_rates import Drawn, as_it_is, laws, seen, with_images
 from search_rates import block, clean_images
 
@@ -156,30 +155,28 @@ def main() -> None:
 
 
 @main.command()
-@click.option("-o", "--out", required=True, type=click.Path(file_okay=False, path_type=Path))
-@click.option("--jobs", type=click.IntRange(min=1), default=2, show_default=True, help="Runs side by side.")
-@click.option("--minutes", type=float, default=8.0, show_default=True, help="Limit of one search.")
-@click.option("--max-time", type=float, default=math.inf, help="Start no run after so many seconds.")
-@click.option("--device")
+@runs.out
+@runs.jobs(2)
+@runs.minutes(8.0)
+@runs.max_time
+@runs.device
 def run(out: Path, jobs: int, minutes: float, max_time: float, device: str | None) -> None:
     """Make the runs that are not in the folder yet."""
-    out.mkdir(parents=True, exist_ok=True)
     where = devices.resolve_device(device)
-    done = {row["number"] for row in stored_runs(out)}
     keys = [f"{kind}|{at:g}|{looks:g}" for at in RESOLUTIONS_M for kind in MADE for looks in LOOKS]
-    keys = [key for key in keys if key not in done]
-    append_runs(
-        out, keys, jobs, max_time, (where.alias, minutes), one_run,
+    runs.append(
+        out, keys, one_run,
         lambda row: f"{row['number']}: {answer(row)}: {row['line']}",
+        where.alias, minutes, jobs=jobs, max_time=max_time,
     )  # fmt: skip
 
 
 @main.command()
-@click.option("-o", "--out", required=True, type=click.Path(file_okay=False, path_type=Path))
-@click.option("--write", is_flag=True, help="Write the table into the docs.")
+@runs.out
+@runs.write
 def table(out: Path, write: bool) -> None:
     """What was answered, and what there is to be found."""
-    rows = {row["number"]: row for row in stored_runs(out)}
+    rows = {row["number"]: row for row in runs.stored(out)}
     body = []
     for kind in MADE:
         for looks in LOOKS:
@@ -189,8 +186,7 @@ def table(out: Path, write: bool) -> None:
                 line.append("" if row is None else f"{answer(row)} ({row['there']:.0f})")
             body.append(line)
     head = ["wrong", "looks", *(f"{at:g} m" for at in RESOLUTIONS_M)]
-    oldest = min(({key: row[key] for key in ("date", "commit")} for row in rows.values()), key=lambda one: one["date"])
-    tables.publish({"storeys": tables.markdown(head, body)}, {"made": oldest}, write)
+    tables.publish({"storeys": tables.markdown(head, body)}, runs.oldest(rows.values()), write)
 
 
 if __name__ == "__main__":

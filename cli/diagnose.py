@@ -11,13 +11,9 @@ from warpsar.cli import options
 
 
 @click.command(name="diagnose", short_help="Name the effects that the model lacks, and add them.")
-@click.argument("scene", type=click.Path(exists=True, dir_okay=False, path_type=Path))
-@click.option(
-    "-o",
-    "--out",
-    required=True,
-    type=click.Path(file_okay=False, path_type=Path),
-    help="Folder for diagnosis.json, report.html, and scene.toml with the named effects; made if missing.",
+@options.scene
+@options.out(
+    "Folder for diagnosis.json, report.html, and scene.toml with the named effects; made if missing."
 )
 @options.device
 @click.option(

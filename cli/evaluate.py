@@ -10,17 +10,11 @@ from warpsar.cli import options
 
 
 @click.command(name="evaluate", short_help="Compare model and measured images, in a report.")
-@click.argument("scene", type=click.Path(exists=True, dir_okay=False, path_type=Path))
-@click.option(
-    "-o",
-    "--out",
-    required=True,
-    type=click.Path(file_okay=False, path_type=Path),
-    help="Folder for evaluate.json, report.html, residual images and learned.ply; made if missing.",
-)
+@options.scene
+@options.out("Folder for evaluate.json, report.html, residual images and learned.ply; made if missing.")
 @click.option(
     "--before",
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    type=options.FILE,
     help="Another scene file of the same images: the report shows that model's numbers and residuals beside SCENE's.",
 )
 @options.device

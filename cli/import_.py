@@ -18,13 +18,13 @@ TAPERS = ("none", "hann", "taylor")
     "sources",
     nargs=-1,
     required=True,
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    type=options.FILE,
     metavar="SOURCE...",
 )
 @click.option(
     "--scene",
     required=True,
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    type=options.FILE,
     help="The scene.toml to edit.",
 )
 @click.option(
@@ -33,17 +33,10 @@ TAPERS = ("none", "hann", "taylor")
 )
 @click.option(
     "--table",
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    type=options.FILE,
     help="In place of --view: a CSV of chip, azimuth_deg and depression_deg. Every SOURCE becomes a view.",
 )
-@click.option(
-    "--format",
-    "file_format",
-    type=click.Choice(("auto", *registry.names())),
-    default="auto",
-    show_default=True,
-    help="Format of SOURCE.",
-)
+@options.file_format("--format", "Format of SOURCE.")
 @click.option(
     "--quantity",
     type=click.Choice(("amplitude", "power")),
@@ -64,11 +57,7 @@ TAPERS = ("none", "hann", "taylor")
     help="Where the radar is in a picture; bottom turns it upside down.",
 )
 @click.option("--spacing", nargs=2, type=float, metavar="RANGE AZIMUTH", help="Pixels of a picture [m].")
-@click.option(
-    "--polarization",
-    type=click.Choice(("HH", "HV", "VH", "VV")),
-    help="Needed where the file has several polarizations, or names none.",
-)
+@options.polarization("Needed where the file has several polarizations, or names none.")
 @click.option(
     "--window-range", type=click.Choice(TAPERS), default="none", show_default=True, help="Window over the band."
 )

@@ -11,14 +11,9 @@ from warpsar.cli import options
 
 
 @click.command(name="learn", short_help="Find surface parameters from measured images.")
-@click.argument("scene", type=click.Path(exists=True, dir_okay=False, path_type=Path))
-@click.option(
-    "-o",
-    "--out",
-    required=True,
-    type=click.Path(file_okay=False, path_type=Path),
-    help="Folder for scene.toml with the learned values, report.html, learn.json, history.csv and figures; "
-    "made if missing.",
+@options.scene
+@options.out(
+    "Folder for scene.toml with the learned values, report.html, learn.json, history.csv and figures; made if missing."
 )
 @options.device
 @click.option("--loss", default="gamma", show_default=True, help="Loss: gamma, mse or log.")

@@ -18,7 +18,7 @@ SENSORS = (
 
 @click.command(name="new", short_help="Write a first scene file for a mesh or for buildings.")
 @click.argument("folder", type=click.Path(file_okay=False, path_type=Path))
-@click.argument("mesh", required=False, type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.argument("mesh", required=False, type=options.FILE)
 @click.option("--example", is_flag=True, help="Copy the example scene, a street corner with its mesh. Takes no MESH.")
 @click.option(
     "--units", type=click.Choice(UNITS), help="Unit of the mesh's coordinates. Default: guessed, and printed."
@@ -31,7 +31,7 @@ SENSORS = (
 @options.yes
 @click.option(
     "--dem",
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    type=options.FILE,
     help="Elevation model (GeoTIFF) under the buildings. Default: level ground.",
 )
 @click.option(
@@ -74,7 +74,7 @@ def command(
         for name, value in given.items():
             if value is not None:
                 raise click.UsageError(f"{name}: found {value}; --example takes its own mesh and scene, leave it out")
-        from warpsar.scene.example import copy_example
+        from warpsar.scene.new import copy_example
 
         _say_next(copy_example(folder, force=force))
         return

@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any, TypeVar
 
 import click
 from click.core import ParameterSource
+
+from warpsar.formats import registry
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
+
+scene = click.argument("scene", type=FILE)
 
 device = click.option(
     "--device",
@@ -20,6 +29,26 @@ device = click.option(
 resume = click.option("--resume", is_flag=True, help="Continue from the checkpoint in the output folder.")
 
 yes = click.option("--yes", is_flag=True, help="Accept a mesh that is more than 5000 m across.")
+
+
+def out(words: str) -> Callable[[Command], Command]:
+    """-o: the folder of what a command writes, in `words`."""
+    return click.option("-o", "--out", required=True, type=click.Path(file_okay=False, path_type=Path), help=words)
+
+
+def polarization(words: str) -> Callable[[Command], Command]:
+    return click.option("--polarization", type=click.Choice(("HH", "HV", "VH", "VV")), help=words)
+
+
+def radiometry(whose: str) -> Callable[[Command], Command]:
+    words = f"Quantity of the power of {whose}, for products that do not state it (GAMMA)."
+    return click.option("--radiometry", type=click.Choice(("beta0", "sigma0", "gamma0")), help=words)
+
+
+def file_format(name: str, words: str) -> Callable[[Command], Command]:
+    """The format of what a radar measured, of all that the registry has."""
+    formats = click.Choice(("auto", *registry.names()))
+    return click.option(name, "file_format", type=formats, default="auto", show_default=True, help=words)
 
 
 def quiet() -> click.Option:
@@ -44,19 +73,24 @@ def resumable(out: Path) -> Iterator[None]:
     except KeyboardInterrupt:
         if not (out / NAME).exists():
             raise KeyboardInterrupt("interrupted before the first checkpoint") from None
-        words = shlex.join(_resuming(click.get_current_context()))
-        raise KeyboardInterrupt(f"interrupted; go on with: {words}") from None
+        raise KeyboardInterrupt(f"interrupted; go on with: {shlex.join(words('--resume'))}") from None
 
 
-def _resuming(context: click.Context) -> list[str]:
-    """The words of this command with --resume: scene and folder, then every other option that was given."""
+def words(*more: str) -> list[str]:
+    """This command as it was given, which makes the same again: what it needs, `more`, then every other option."""
+    context = click.get_current_context()
     needed: list[str] = []
     given: list[str] = []
     for parameter in context.command.params:
         name = str(parameter.name)
         if name in ("resume", "quiet") or context.get_parameter_source(name) is not ParameterSource.COMMANDLINE:
             continue
-        values = context.params[name] if parameter.multiple else (context.params[name],)
+        value = context.params[name]
         option = [] if isinstance(parameter, click.Argument) else [parameter.opts[0]]
-        (needed if parameter.required else given).extend(word for value in values for word in (*option, str(value)))
-    return ["warpsar", str(context.info_name), *needed, "--resume", *given]
+        found = needed if parameter.required else given
+        if isinstance(parameter, click.Option) and parameter.is_flag:
+            found += option if value else parameter.secondary_opts
+            continue
+        for each in value if parameter.multiple else (value,):
+            found += [*option, *map(str, each if isinstance(each, tuple) else (each,))]
+    return ["warpsar", str(context.info_name), *needed, *more, *given]

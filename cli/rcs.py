@@ -10,7 +10,7 @@ from warpsar.cli import options
 
 
 @click.command(name="rcs", short_help="Radar cross-sections and complex amplitudes, with phase.")
-@click.argument("body", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.argument("body", type=options.FILE)
 @click.option(
     "-o",
     "--out",

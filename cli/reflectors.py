@@ -7,7 +7,6 @@ from pathlib import Path
 import click
 
 from warpsar.cli import options
-from warpsar.formats import registry
 
 
 @click.command(name="reflectors", short_help="Measure corner reflectors, predict them, explain the difference.")
@@ -15,26 +14,12 @@ from warpsar.formats import registry
 @click.option(
     "--sites",
     required=True,
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    type=options.FILE,
     help="CSV of the reflectors: our own columns, or a table of GECORIS, UAVSAR, ISCE3 or NISAR.",
 )
-@click.option(
-    "-o",
-    "--out",
-    required=True,
-    type=click.Path(file_okay=False, path_type=Path),
-    help="Folder for report.html, reflectors.csv, reflectors.json and sites_isce3.csv; made if missing.",
-)
-@click.option(
-    "--polarization",
-    type=click.Choice(["HH", "HV", "VH", "VV"]),
-    help="The images to take. Default: all that are co-polarized.",
-)
-@click.option(
-    "--radiometry",
-    type=click.Choice(["beta0", "sigma0", "gamma0"]),
-    help="Quantity of the image's power, for products that do not state it (GAMMA).",
-)
+@options.out("Folder for report.html, reflectors.csv, reflectors.json and sites_isce3.csv; made if missing.")
+@options.polarization("The images to take. Default: all that are co-polarized.")
+@options.radiometry("an image")
 @click.option(
     "--allowance",
     nargs=2,
@@ -57,14 +42,7 @@ from warpsar.formats import registry
     metavar="DATE",
     help="Dates from this one on, such as 2024-06-01, are used for no fit: the earlier dates predict their RCS.",
 )
-@click.option(
-    "--format",
-    "file_format",
-    type=click.Choice(["auto", *registry.names()]),
-    default="auto",
-    show_default=True,
-    help="The products' format.",
-)
+@options.file_format("--format", "The products' format.")
 @options.device
 def command(
     products: tuple[Path, ...],
@@ -88,12 +66,6 @@ def command(
     """
     from warpsar.calibration.command import run
 
-    words = ["warpsar", "reflectors", *map(str, products), "--sites", str(sites), "-o", str(out)]
-    words += ["--polarization", polarization] if polarization else []
-    words += ["--radiometry", radiometry] if radiometry else []
-    words += ["--allowance", *(f"{each:g}" for each in allowance), "--window", f"{window:g}"]
-    words += ["--closed-form"] if closed_form else []
-    words += ["--hold-back", hold_back] if hold_back else []
     run(
         products,
         sites,
@@ -106,5 +78,5 @@ def command(
         hold_back=hold_back,
         file_format=file_format,
         device=device,
-        command=words,
+        command=options.words(),
     )

@@ -15,14 +15,8 @@ PRODUCTS = ("beta0", "slc", "phase-history")
 
 
 @click.command(name="simulate", short_help="Make an image of every view.")
-@click.argument("scenes", nargs=-1, required=True, type=click.Path(exists=True, dir_okay=False, path_type=Path))
-@click.option(
-    "-o",
-    "--out",
-    required=True,
-    type=click.Path(file_okay=False, path_type=Path),
-    help="Folder for images (beta0), quick looks (PNG, dB) and simulate.json; made if missing.",
-)
+@click.argument("scenes", nargs=-1, required=True, type=options.FILE)
+@options.out("Folder for images (beta0), quick looks (PNG, dB) and simulate.json; made if missing.")
 @click.option(
     "--product",
     type=click.Choice(PRODUCTS),

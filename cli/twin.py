@@ -7,7 +7,6 @@ from pathlib import Path
 import click
 
 from warpsar.cli import options
-from warpsar.formats import registry
 
 
 @click.command(name="twin", short_help="Simulate a radar product from a DEM, on the product's own grid.")
@@ -15,16 +14,10 @@ from warpsar.formats import registry
 @click.option(
     "--dem",
     required=True,
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    type=options.FILE,
     help="GeoTIFF of heights [m], in any coordinate system that PROJ knows.",
 )
-@click.option(
-    "-o",
-    "--out",
-    required=True,
-    type=click.Path(file_okay=False, path_type=Path),
-    help="Folder for report.html, twin.json, the layers and pictures; made if missing.",
-)
+@options.out("Folder for report.html, twin.json, the layers and pictures; made if missing.")
 @click.option(
     "--geoid-offset",
     type=float,
@@ -48,7 +41,7 @@ from warpsar.formats import registry
 )
 @click.option(
     "--landcover",
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    type=options.FILE,
     help="GeoTIFF of land cover classes, in any coordinate system.",
 )
 @click.option(
@@ -61,19 +54,11 @@ from warpsar.formats import registry
 )
 @click.option(
     "--buildings",
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    type=options.FILE,
     help="Buildings on the DEM: GeoJSON outlines with heights, or CityGML.",
 )
-@click.option(
-    "--polarization",
-    type=click.Choice(["HH", "HV", "VH", "VV"]),
-    help="The image to take, where the product has several.",
-)
-@click.option(
-    "--radiometry",
-    type=click.Choice(["beta0", "sigma0", "gamma0"]),
-    help="Quantity of the image's power, for products that do not state it (GAMMA).",
-)
+@options.polarization("The image to take, where the product has several.")
+@options.radiometry("the image")
 @click.option(
     "--format",
     "formats",
@@ -83,14 +68,7 @@ from warpsar.formats import registry
     show_default=True,
     help="Format of the layers; may be given several times.",
 )
-@click.option(
-    "--product-format",
-    "file_format",
-    type=click.Choice(["auto", *registry.names()]),
-    default="auto",
-    show_default=True,
-    help="The product's format.",
-)
+@options.file_format("--product-format", "The product's format.")
 @options.device
 def command(
     product: Path,
@@ -118,15 +96,6 @@ def command(
     """
     from warpsar.terrain.command import run
 
-    words = ["warpsar", "twin", str(product), "--dem", str(dem), "-o", str(out)]
-    words += ["--geoid-offset", f"{geoid_offset:g}"] if geoid_offset is not None else []
-    words += ["--crop", *(f"{each:.10g}" for each in crop)] if crop else []
-    words += ["--surface", surface]
-    words += ["--landcover", str(landcover), "--landcover-table", landcover_table] if landcover else []
-    words += ["--buildings", str(buildings)] if buildings else []
-    words += ["--polarization", polarization] if polarization else []
-    words += ["--radiometry", radiometry] if radiometry else []
-    words += [word for one in formats for word in ("--format", one)]
     run(
         product,
         dem,
@@ -142,5 +111,5 @@ def command(
         file_format=file_format,
         formats=formats,
         device=device,
-        command=words,
+        command=options.words(),
     )

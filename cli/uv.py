@@ -6,16 +6,12 @@ from pathlib import Path
 
 import click
 
+from warpsar.cli import options
+
 
 @click.command(name="uv", short_help="Give a mesh texture coordinates.")
-@click.argument("scene", type=click.Path(exists=True, dir_okay=False, path_type=Path))
-@click.option(
-    "-o",
-    "--out",
-    required=True,
-    type=click.Path(file_okay=False, path_type=Path),
-    help="Folder for mesh.obj with UV, and for a scene.toml that names it; made if missing.",
-)
+@options.scene
+@options.out("Folder for mesh.obj with UV, and for a scene.toml that names it; made if missing.")
 def command(scene: Path, out: Path) -> None:
     """Give the mesh of SCENE texture coordinates, a square for each material (needs the extra `uv`).
 

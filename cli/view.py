@@ -11,13 +11,7 @@ from warpsar.cli import options
 
 @click.command(name="view", short_help="Show a scene, its images and residuals in 3D in a browser.")
 @click.argument("scene", type=click.Path(exists=True, path_type=Path))
-@click.option(
-    "-o",
-    "--out",
-    required=True,
-    type=click.Path(file_okay=False, path_type=Path),
-    help="Folder for view.html; made if missing.",
-)
+@options.out("Folder for view.html; made if missing.")
 @click.option(
     "--before",
     type=click.Path(exists=True, path_type=Path),

@@ -31,6 +31,7 @@ from warpsar.kernels.models.i2em import (
     spoke_series,
 )
 from warpsar.kernels.scattering import bounded_cosine, sine_squared
+from warpsar.kernels.shade import HitSurfaces
 from warpsar.kernels.wide import read_float, read_int, read_vec4, write_vec4
 
 # Loops over a spline's three nodes are written out; the series stay loops.
@@ -331,14 +332,7 @@ def scatter_kernel(slopes: bool, *, beyond: bool) -> wp.Kernel:
     def scatter_kernel(
         # In:
         mine: wp.array(dtype=int),
-        wavenumber: float,
-        local_basis: int,
-        face: wp.array(dtype=int),
-        face_material: wp.array(dtype=int),
-        cos_incidence: wp.array(dtype=float),
-        cos_twist: wp.array(dtype=float),
-        spectrum: wp.array(dtype=int),
-        eps_im: wp.array(dtype=float),
+        hits: HitSurfaces,
         zeta: wp.array(dtype=wp.vec4),
         row: wp.array(dtype=int),
         table: wp.array(dtype=float),
@@ -347,20 +341,20 @@ def scatter_kernel(slopes: bool, *, beyond: bool) -> wp.Kernel:
         slopes_out: wp.array(dtype=wp.vec4),
     ):
         i = read_int(mine, wp.tid())
-        material = read_int(face_material, read_int(face, i))
-        kind = read_int(spectrum, material)
-        loss = read_float(eps_im, material)
-        cosine = read_float(cos_incidence, i)
-        twist = read_float(cos_twist, i)
-        if local_basis != 0:
+        material = read_int(hits.face_material, read_int(hits.face, i))
+        kind = read_int(hits.spectrum, material)
+        loss = read_float(hits.eps_im, material)
+        cosine = read_float(hits.cos_incidence, i)
+        twist = read_float(hits.cos_twist, i)
+        if hits.local_basis != 0:
             twist = 1.0
         z = read_vec4(zeta, i)
-        place = place_of(kind, wavenumber, cosine, z)
+        place = place_of(kind, hits.wavenumber, cosine, z)
         twice = splined(table, read_int(row, material), place)
-        found = varying_sigma0(kind, wavenumber, cosine, twist, loss, z, twice)
+        found = varying_sigma0(kind, hits.wavenumber, cosine, twist, loss, z, twice)
         if wp.static(beyond):
             if is_beyond(place):
-                found = integral(kind, wavenumber, cosine, twist, loss, z)
+                found = integral(kind, hits.wavenumber, cosine, twist, loss, z)
         sigma_out[i] = found[0]
         if wp.static(slopes):
             write_vec4(slopes_out, i, wp.vec4(found[1], found[2], found[3], 0.0))
@@ -383,14 +377,7 @@ def integral(
 def beyond_kernel(
     # In:
     mine: wp.array(dtype=int),
-    wavenumber: float,
-    local_basis: int,
-    face: wp.array(dtype=int),
-    face_material: wp.array(dtype=int),
-    cos_incidence: wp.array(dtype=float),
-    cos_twist: wp.array(dtype=float),
-    spectrum: wp.array(dtype=int),
-    eps_im: wp.array(dtype=float),
+    hits: HitSurfaces,
     zeta: wp.array(dtype=wp.vec4),
     # Out:
     sigma_out: wp.array(dtype=float),
@@ -398,16 +385,16 @@ def beyond_kernel(
 ):
     """sigma0 by the integral for those of the hits `mine` that have no place in the lattice; its slopes as above."""
     i = read_int(mine, wp.tid())
-    material = read_int(face_material, read_int(face, i))
-    kind = read_int(spectrum, material)
-    cosine = read_float(cos_incidence, i)
+    material = read_int(hits.face_material, read_int(hits.face, i))
+    kind = read_int(hits.spectrum, material)
+    cosine = read_float(hits.cos_incidence, i)
     z = read_vec4(zeta, i)
-    if not is_beyond(place_of(kind, wavenumber, cosine, z)):
+    if not is_beyond(place_of(kind, hits.wavenumber, cosine, z)):
         return
-    twist = read_float(cos_twist, i)
-    if local_basis != 0:
+    twist = read_float(hits.cos_twist, i)
+    if hits.local_basis != 0:
         twist = 1.0
-    found = integral(kind, wavenumber, cosine, twist, read_float(eps_im, material), z)
+    found = integral(kind, hits.wavenumber, cosine, twist, read_float(hits.eps_im, material), z)
     sigma_out[i] = found[0]
     if slopes_out.shape[0] > 0:
         write_vec4(slopes_out, i, wp.vec4(found[1], found[2], found[3], 0.0))

@@ -26,6 +26,7 @@ from warpsar.kernels.models.i2em import (
     spoke_series,
 )
 from warpsar.kernels.scattering import MIN_COS_INCIDENCE, sine_squared
+from warpsar.kernels.shade import HitSurfaces
 from warpsar.kernels.wide import read_float, read_int, write_vec4
 
 wp.set_module_options({"max_unroll": 1})
@@ -180,11 +181,7 @@ def scatter_kernel(slopes: bool) -> wp.Kernel:
     def scatter_kernel(
         # In:
         mine: wp.array(dtype=int),
-        local_basis: int,
-        face: wp.array(dtype=int),
-        face_material: wp.array(dtype=int),
-        cos_incidence: wp.array(dtype=float),
-        cos_twist: wp.array(dtype=float),
+        hits: HitSurfaces,
         once: wp.array2d(dtype=wp.vec4),
         twice: wp.array2d(dtype=wp.vec4),
         # Out:
@@ -192,10 +189,10 @@ def scatter_kernel(slopes: bool) -> wp.Kernel:
         slopes_out: wp.array(dtype=wp.vec4),
     ):
         i = read_int(mine, wp.tid())
-        cosine = read_float(cos_incidence, i)
-        material = read_int(face_material, read_int(face, i))
-        twist = read_float(cos_twist, i)
-        if local_basis != 0:
+        cosine = read_float(hits.cos_incidence, i)
+        material = read_int(hits.face_material, read_int(hits.face, i))
+        twist = read_float(hits.cos_twist, i)
+        if hits.local_basis != 0:
             twist = 1.0
         found = crossed_sigma0(
             cosine, twist, interpolated(once, material, cosine, SINGLE), interpolated(twice, material, cosine, DOUBLE)

@@ -104,7 +104,13 @@ class Expressions:
         raise self.unknown(node)
 
     def is_array(self, node: ast.expr) -> bool:
-        return isinstance(node, ast.Name) and node.id in self.kinds and self.kinds[node.id].array is not None
+        """Whether it is an array, or a struct's."""
+        match node:
+            case ast.Name(name) if name in self.kinds:
+                return self.kinds[name].array is not None
+            case ast.Attribute(ast.Name(of), name) if of in self.kinds and self.kinds[of].struct is not None:
+                return self.kinds[of].field(name).array is not None
+        return False
 
     def element(self, array: ast.expr, places: list[ast.expr]) -> tuple[str, LaneKind]:
         """An element of an array; of every lane its own where the place differs between them."""

@@ -3,6 +3,7 @@
 import warp as wp
 
 from warpsar.kernels.codes import Coordinate
+from warpsar.kernels.shade import HitSurfaces
 
 
 @wp.func
@@ -25,15 +26,12 @@ def term_at(
 @wp.kernel
 def term_kernel(
     # In:
-    polarization: int,
+    hits: HitSurfaces,
     log_wavenumber: float,
     first: wp.array(dtype=wp.vec2i),  # of a material: its first unit, and how many it has
     inverse_width: wp.array(dtype=wp.vec4),
     places: wp.array(dtype=wp.vec4),
     weights: wp.array2d(dtype=float),
-    face: wp.array(dtype=int),
-    face_material: wp.array(dtype=int),
-    cos_incidence: wp.array(dtype=float),
     zeta: wp.array(dtype=wp.vec4),
     sigma: wp.array(dtype=float),
     # Out:
@@ -41,13 +39,13 @@ def term_kernel(
 ):
     """Differentiable in the coordinates, in sigma0 and in the weights."""
     i = wp.tid()
-    material = face_material[face[i]]
+    material = hits.face_material[hits.face[i]]
     z = zeta[i]
     at = wp.vec4(
-        cos_incidence[i],
+        hits.cos_incidence[i],
         z[Coordinate.HEIGHT] + log_wavenumber,
         z[Coordinate.LENGTH] + log_wavenumber,
         z[Coordinate.EPS],
     )
-    g = term_at(polarization, at, inverse_width[material], first[material], places, weights)
+    g = term_at(hits.polarization, at, inverse_width[material], first[material], places, weights)
     sigma_out[i] = sigma[i] * wp.exp(g)

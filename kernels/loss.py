@@ -1,9 +1,67 @@
-"""Measured against modelled beta0, pixel by pixel, and the price of rough parameter fields."""
+"""Measured against modelled beta0, pixel by pixel; and the price of rough parameter fields and of known values."""
 
 import warp as wp
 
-from warpsar.kernels.codes import FRACTION_LIMIT, Coordinate
-from warpsar.kernels.survival import minus_log_q
+from warpsar.kernels.codes import FRACTION_LIMIT, Coordinate, Scale
+
+ROUNDS = wp.constant(400)  # of a series or fraction: more than either takes to 1e-12 for the looks of images
+SMALLEST = wp.constant(wp.float64(1.0e-300))
+
+
+@wp.func
+def series(x: wp.float64, looks: wp.float64) -> wp.float64:
+    """sum x^k / (L (L + 1) ... (L + k)), k >= 0 (DLMF 8.7.1): P Gamma(L) e^x x^-L. Right for x < L + 1."""
+    term = wp.float64(1.0) / looks
+    total = term
+    for k in range(1, ROUNDS):
+        term = term * x / (looks + wp.float64(k))
+        total = total + term
+        if term < total * wp.float64(1.0e-13):
+            break
+    return total
+
+
+@wp.func
+def fraction(x: wp.float64, looks: wp.float64) -> wp.float64:
+    """Q Gamma(L) e^x x^-L by its continued fraction (DLMF 8.9.2, Lentz's method). Right for x >= L + 1."""
+    one = wp.float64(1.0)
+    b = x + one - looks
+    c = one / SMALLEST
+    d = one / b
+    found = d
+    for k in range(1, ROUNDS):
+        n = wp.float64(k)
+        a = -n * (n - looks)
+        b = b + wp.float64(2.0)
+        d = a * d + b
+        if wp.abs(d) < SMALLEST:
+            d = SMALLEST
+        c = b + a / c
+        if wp.abs(c) < SMALLEST:
+            c = SMALLEST
+        d = one / d
+        step = d * c
+        found = found * step
+        if wp.abs(step - one) < wp.float64(1.0e-13):
+            break
+    return found
+
+
+@wp.func
+def minus_log_q(x: wp.float64, looks: wp.float64, log_gamma: wp.float64) -> wp.float64:
+    """-ln Q(L, x); `log_gamma` is ln Gamma(L)."""
+    scale = looks * wp.log(x) - x - log_gamma
+    if x < looks + wp.float64(1.0):
+        return -wp.log(wp.float64(1.0) - wp.exp(scale) * series(x, looks))
+    return -scale - wp.log(fraction(x, looks))
+
+
+@wp.func_grad(minus_log_q)
+def adj_minus_log_q(x: wp.float64, looks: wp.float64, log_gamma: wp.float64, adj_ret: wp.float64):
+    """d / dx = x^(L - 1) e^-x / (Gamma(L) Q). Looks are given: they get no gradient."""
+    scale = looks * wp.log(x) - x - log_gamma
+    wp.adjoint[x] += adj_ret * wp.exp(scale + minus_log_q(x, looks, log_gamma)) / x
+
 
 GAMMA = wp.constant(0)
 MSE = wp.constant(1)
@@ -147,3 +205,37 @@ def add_up_kernel(
     i = wp.tid()
     if part[i] != wp.float64(0.0):
         wp.atomic_add(total_out, 0, part[i])
+
+
+@wp.kernel(enable_backward=False)
+def prior_kernel(
+    # In:
+    node: wp.array(dtype=int),
+    kind: wp.array(dtype=int),
+    about: wp.array(dtype=wp.float64),
+    sd: wp.array(dtype=wp.float64),
+    nodes: wp.array(dtype=float),
+    # Out:
+    gradient_out: wp.array(dtype=float),
+    loss_out: wp.array(dtype=wp.float64),
+):
+    """Half the squared deviation of each known value in standard deviations, and its slope, added to the gradient.
+
+    `kind` is the `Scale` of its coordinate.
+    """
+    i = wp.tid()
+    x = wp.float64(nodes[node[i]])
+    one = wp.float64(1.0)
+    value = x
+    slope = one
+    if kind[i] == Scale.LOGIT:
+        value = one / (one + wp.exp(-x))
+        slope = value * (one - value)
+    elif kind[i] != Scale.LINEAR:
+        value = wp.exp(x)
+        slope = value
+        if kind[i] == Scale.CONTRAST:
+            value = one + value
+    deviation = (value - about[i]) / sd[i]
+    loss_out[i] = wp.float64(0.5) * deviation * deviation
+    wp.atomic_add(gradient_out, node[i], float(deviation * slope / sd[i]))

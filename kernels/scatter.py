@@ -7,6 +7,7 @@ from typing import Any
 import warp as wp
 
 from warpsar.kernels.codes import PAGE, Polarization
+from warpsar.kernels.shade import HitSurfaces
 from warpsar.kernels.wide import read_float, read_int, read_vec4, write_vec4
 
 
@@ -82,18 +83,7 @@ def scatter_kernel(
     def scatter_kernel(
         # In:
         mine: wp.array(dtype=int),
-        polarization: int,
-        variant: int,
-        wavenumber: float,
-        local_basis: int,
-        face: wp.array(dtype=int),
-        face_material: wp.array(dtype=int),
-        cos_incidence: wp.array(dtype=float),
-        cos_twist: wp.array(dtype=float),
-        cos2_azimuth: wp.array(dtype=float),
-        spectrum: wp.array(dtype=int),
-        eps_im: wp.array(dtype=float),
-        aspect: wp.array(dtype=float),
+        hits: HitSurfaces,
         zeta: wp.array(dtype=coordinates),
         # Out:
         sigma_out: wp.array(dtype=float),
@@ -103,12 +93,12 @@ def scatter_kernel(
             i = read_int(mine, wp.tid())
         else:
             i = wp.tid()
-        code = polarization
+        code = hits.polarization
         if wp.static(channel >= 0):
             code = wp.static(channel)
-        material = read_int(face_material, read_int(face, i))
-        twist = read_float(cos_twist, i)
-        if local_basis != 0:
+        material = read_int(hits.face_material, read_int(hits.face, i))
+        twist = read_float(hits.cos_twist, i)
+        if hits.local_basis != 0:
             twist = 1.0
         if wp.static(several):
             own = zeta[i]
@@ -117,14 +107,14 @@ def scatter_kernel(
         if wp.static(slopes):
             found = both_of(
                 code,
-                read_int(spectrum, material),
-                variant,
-                wavenumber,
-                read_float(cos_incidence, i),
+                read_int(hits.spectrum, material),
+                hits.variant,
+                hits.wavenumber,
+                read_float(hits.cos_incidence, i),
                 twist,
-                read_float(cos2_azimuth, i),
-                read_float(eps_im, material),
-                read_float(aspect, material),
+                read_float(hits.cos2_azimuth, i),
+                read_float(hits.eps_im, material),
+                read_float(hits.aspect, material),
                 own,
             )
             sigma_out[i] = found[0]
@@ -137,14 +127,14 @@ def scatter_kernel(
         else:
             sigma_out[i] = value_of(
                 code,
-                read_int(spectrum, material),
-                variant,
-                wavenumber,
-                read_float(cos_incidence, i),
+                read_int(hits.spectrum, material),
+                hits.variant,
+                hits.wavenumber,
+                read_float(hits.cos_incidence, i),
                 twist,
-                read_float(cos2_azimuth, i),
-                read_float(eps_im, material),
-                read_float(aspect, material),
+                read_float(hits.cos2_azimuth, i),
+                read_float(hits.eps_im, material),
+                read_float(hits.aspect, material),
                 own,
             )
 

@@ -39,6 +39,29 @@ class NodeMap:
     places: wp.array2d(dtype=wp.vec4i)
 
 
+@wp.struct
+class HitSurfaces:
+    """What sigma0 of a view's hits depends on beside their learned coordinates, in one polarization.
+
+    Of hits, shape (n,): `face` and the cosines, as in `warpsar.trace.hits.Hits`. Of materials: `spectrum`, `eps_im` and
+    `aspect`. `local_basis`: 1 where polarizations are those of each facet, which so has no twist. `polarization`,
+    `variant` and `spectrum` are codes; `wavenumber` [rad/m].
+    """
+
+    polarization: int
+    variant: int
+    wavenumber: float
+    local_basis: int
+    face: wp.array(dtype=int)
+    face_material: wp.array(dtype=int)
+    cos_incidence: wp.array(dtype=float)
+    cos_twist: wp.array(dtype=float)
+    cos2_azimuth: wp.array(dtype=float)
+    spectrum: wp.array(dtype=int)
+    eps_im: wp.array(dtype=float)
+    aspect: wp.array(dtype=float)
+
+
 @wp.func
 def texel(nodes: wp.array(dtype=float), offset: int, width: int, height: int, x: int, y: int) -> float:
     return nodes[offset + wp.clamp(y, 0, height - 1) * width + wp.clamp(x, 0, width - 1)]

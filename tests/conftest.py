@@ -1,7 +1,10 @@
 """What tests share: devices, measured data, cases by an independent renderer; skipped, saying so, where not there."""
 
+import importlib
 import os
+import sys
 from pathlib import Path
+from typing import Any
 
 # Before NumPy is loaded, here or in the workers of xdist: several threads take small matrices five times as long where
 # other tests run beside.
@@ -23,6 +26,14 @@ def shared_folder(variable: str, default: str) -> Path:
 
 MEASURED = shared_folder("WARPSAR_MEASURED", "data")
 CASES = shared_folder("WARPSAR_CASES", "cases")
+
+
+def benchmark(name: str) -> Any:
+    """A file of benchmarks/ as a module, imported beside its neighbours."""
+    folder = str(ROOT / "benchmarks")
+    if folder not in sys.path:
+        sys.path.insert(0, folder)
+    return importlib.import_module(name)
 
 
 def pytest_configure() -> None:

@@ -4,8 +4,10 @@ from functools import cache
 
 import warp as wp
 
-from warpsar.kernels.geometry import cos2_azimuth_of, cos_twist_of
+from warpsar.kernels.geometry import RayGrid, Triangles, cos2_azimuth_of, cos_twist_of, look_direction
 from warpsar.kernels.models.ka_spm import sigma0_and_slopes_of, sigma0_of
+from warpsar.kernels.shade import HitSurfaces
+from warpsar.kernels.wide import read_float, read_int
 
 # Added to the slope variance, a tilt of 1e-4: its square root has no derivative at 0.
 LEAST_VARIANCE = wp.constant(1.0e-8)
@@ -41,28 +43,15 @@ def tilt_kernel(slopes: bool) -> wp.Kernel:
     With `slopes` also the derivatives to the learned coordinates, and no adjoint of its own.
     """
 
-    # Long because of its arguments: sigma0 depends on all of them.
     @wp.kernel(enable_backward=not slopes, module="unique")
     def tilt_kernel(
         # In:
         p: wp.array(dtype=float),  # slope variance per axis
         tilts: wp.array(dtype=wp.vec3),  # two slopes in standard deviations, and the weight
-        polarization: int,
-        variant: int,
-        wavenumber: float,
-        local_basis: int,
-        slant_range: float,
-        d: wp.vec3,
-        u: wp.vec3,
-        v: wp.vec3,
-        vertices: wp.array(dtype=wp.vec3),
-        faces: wp.array2d(dtype=int),
-        face: wp.array(dtype=int),
+        look: RayGrid,
+        mesh: Triangles,
+        hits: HitSurfaces,
         point: wp.array(dtype=wp.vec3),
-        face_material: wp.array(dtype=int),
-        spectrum: wp.array(dtype=int),
-        eps_im: wp.array(dtype=float),
-        aspect: wp.array(dtype=float),
         zeta: wp.array(dtype=wp.vec4),
         plain: wp.array(dtype=float),  # sigma0 without the tilts
         sigma: wp.array(dtype=float),
@@ -71,18 +60,16 @@ def tilt_kernel(slopes: bool) -> wp.Kernel:
         slopes_out: wp.array(dtype=wp.vec4),
     ):
         i = wp.tid()
-        f = face[i]
-        material = face_material[f]
-        kind = spectrum[material]
-        loss = eps_im[material]
-        ratio = aspect[material]
+        f = read_int(hits.face, i)
+        material = read_int(hits.face_material, f)
+        kind = read_int(hits.spectrum, material)
+        loss = read_float(hits.eps_im, material)
+        ratio = read_float(hits.aspect, material)
         z = zeta[i]
-        direction = d
-        if slant_range > 0.0:
-            direction = wp.normalize((slant_range + wp.dot(point[i], d)) * d + wp.dot(point[i], v) * v)
-        p0 = vertices[faces[f, 0]]
-        e1 = side_of(p0, vertices[faces[f, 1]])
-        normal = facing_normal(e1, p0, vertices[faces[f, 2]], direction)
+        direction = look_direction(look, point[i])
+        p0 = mesh.vertices[mesh.faces[f, 0]]
+        e1 = side_of(p0, mesh.vertices[mesh.faces[f, 1]])
+        normal = facing_normal(e1, p0, mesh.vertices[mesh.faces[f, 2]], direction)
         e2 = wp.cross(normal, e1)
         deviation = wp.sqrt(wp.max(p[0], 0.0) + LEAST_VARIANCE)
         mean = float(0.0)
@@ -93,14 +80,14 @@ def tilt_kernel(slopes: bool) -> wp.Kernel:
             # a tilt past grazing is hidden
             if cosine > 0.0:
                 twist = float(1.0)
-                if local_basis == 0:
-                    twist = cos_twist_of(tilted, direction, u)
+                if hits.local_basis == 0:
+                    twist = cos_twist_of(tilted, direction, look.u)
                 if wp.static(slopes):
                     found = sigma0_and_slopes_of(
-                        polarization,
+                        hits.polarization,
                         kind,
-                        variant,
-                        wavenumber,
+                        hits.variant,
+                        hits.wavenumber,
                         wp.min(cosine, 1.0),
                         twist,
                         cos2_azimuth_of(tilted, direction),
@@ -112,10 +99,10 @@ def tilt_kernel(slopes: bool) -> wp.Kernel:
                     by_zeta += tilts[q][2] * wp.vec4(found[1], found[2], found[3], found[4])
                 else:
                     mean += tilts[q][2] * sigma0_of(
-                        polarization,
+                        hits.polarization,
                         kind,
-                        variant,
-                        wavenumber,
+                        hits.variant,
+                        hits.wavenumber,
                         wp.min(cosine, 1.0),
                         twist,
                         cos2_azimuth_of(tilted, direction),

@@ -6,6 +6,7 @@ from warpsar.kernels.codes import Polarization
 from warpsar.kernels.empirical import turned_power
 from warpsar.kernels.parts import Lookup, Parts, parts_of_powers
 from warpsar.kernels.scattering import sine_squared
+from warpsar.kernels.shade import HitSurfaces
 from warpsar.kernels.wide import read_float, read_int, read_vec4, write_vec4
 
 LEVEL = wp.constant(0)  # the place of ln(level) among the learned coordinates
@@ -51,12 +52,7 @@ def powers_at(
 def scatter_kernel(
     # In:
     mine: wp.array(dtype=int),
-    polarization: int,
-    local_basis: int,
-    face: wp.array(dtype=int),
-    face_material: wp.array(dtype=int),
-    cos_incidence: wp.array(dtype=float),
-    cos_twist: wp.array(dtype=float),
+    hits: HitSurfaces,
     rows: wp.array(dtype=wp.vec2i),
     incidence_deg: wp.array(dtype=float),
     sigma0_db: wp.array2d(dtype=float),
@@ -67,13 +63,13 @@ def scatter_kernel(
 ):
     """sigma0 of the hits `mine`, and with `slopes_out` not empty its slopes: to ln(level) alone."""
     i = read_int(mine, wp.tid())
-    material = face_material[face[i]]
-    cosine = cos_incidence[i]
+    material = hits.face_material[hits.face[i]]
+    cosine = hits.cos_incidence[i]
     power = powers_at(incidence_deg, sigma0_db, rows[material], cosine)
     twist = float(1.0)
-    if local_basis == 0:
-        twist = read_float(cos_twist, i)
-    value, _slope = turned_power(polarization, twist, power[0], power[1], power[2], 0.0, 0.0, 0.0)
+    if hits.local_basis == 0:
+        twist = read_float(hits.cos_twist, i)
+    value, _slope = turned_power(hits.polarization, twist, power[0], power[1], power[2], 0.0, 0.0, 0.0)
     level = read_vec4(zeta, i)
     sigma = value * wp.exp(level[LEVEL])
     sigma_out[i] = sigma

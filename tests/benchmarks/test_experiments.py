@@ -1,31 +1,21 @@
 """benchmarks/experiments.py in small: each experiment runs, and finds what docs/experiments.md says it finds."""
 
-import importlib
 import runpy
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from conftest import ROOT
+from conftest import ROOT, benchmark
 
 from warpsar.runtime import devices
 from warpsar.scene.scene import Scene
 
 
-def module(name: str) -> Any:
-    """A script of benchmarks/, imported beside its neighbours."""
-    folder = str(ROOT / "benchmarks")
-    if folder not in sys.path:
-        sys.path.insert(0, folder)
-    return importlib.import_module(name)
-
-
 @pytest.fixture(scope="module")
 def experiments() -> Any:
-    return module("experiments")
+    return benchmark("experiments")
 
 
 @pytest.mark.parametrize("name", ["table3/scene", "table4/scene", "in_domain/spm", "in_domain/ka", "fields/scene"])
@@ -156,7 +146,7 @@ def test_more_rays_leave_less_error(experiments: Any, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_fields_are_learned_and_drawn(experiments: Any, tmp_path: Path) -> None:
-    fields = module("field_experiment")
+    fields = benchmark("field_experiment")
     experiment = fields.Experiment(tmp_path, "cpu", iterations=60, rays=0.25)
     fits = [experiment.fit("KA+SPM", fields.HEXAGON[:count]) for count in (1, 3)]
     for fit in fits:

@@ -1,16 +1,14 @@
 """The loops on measured data: their scenes, simple predictions and theory; and, with the data there, the short form of
 what docs/measured-gotcha.md says."""
 
-import importlib
 import runpy
-import sys
 from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from conftest import ROOT
+from conftest import ROOT, benchmark
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -28,21 +26,14 @@ pytestmark = pytest.mark.unit
 OVER_GRASS_DB = {"car_park": -1.8, "road": -5.1, "west_strip": 2.3, "cars": 9.1, "targets": 13.3}
 
 
-def script(name: str) -> Any:
-    folder = str(ROOT / "benchmarks")
-    if folder not in sys.path:
-        sys.path.insert(0, folder)
-    return importlib.import_module(name)
-
-
 @pytest.fixture(scope="module")
 def gotcha() -> Any:
-    return script("gotcha")
+    return benchmark("gotcha")
 
 
 @pytest.fixture(scope="module")
 def loop() -> Any:
-    return script("measured_loop")
+    return benchmark("measured_loop")
 
 
 @pytest.fixture(scope="module")
@@ -308,7 +299,7 @@ def test_reflectors_have_the_width_that_theory_gives_them(gotcha: Any, measured_
 
 @pytest.mark.measured
 def test_slicy_chip_against_its_header(measured_data: Path) -> None:
-    slicy = script("slicy")
+    slicy = benchmark("slicy")
     chip, header = slicy.of_the_chip(measured_data), slicy.header(measured_data)
     assert chip["taylor_width_m"] == pytest.approx(float(header["RangeResolution"]), rel=0.02)
     for point in chip["points"]:  # real reflectors of some extent, beside each other
@@ -326,7 +317,7 @@ def test_one_view_of_slicy_cannot_tell_its_resolution_from_detail(
 ) -> None:
     """The header states a resolution. On a body of guessed shape detail explains as much, so both names are given and
     something is left (docs/measured-record.md). Which of them comes first depends on how long the search is."""
-    slicy = script("slicy")
+    slicy = benchmark("slicy")
     path = slicy.prepare(measured_data, tmp_path / "scene", "cpu")
     short = DiagnoseOptions(starts=0, draws=400, refits=1, most_effects=1)
     found = loop.diagnosed(path, tmp_path / "diagnosed", short, "cpu")

@@ -1,15 +1,13 @@
 """The Gotcha cars as objects: their scene, an object's window against the whole image, and a fit against the truth."""
 
-import importlib
 import runpy
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from conftest import ROOT
+from conftest import ROOT, benchmark
 
 from warpsar.scene.placing import with_objects
 from warpsar.scene.scene import Scene
@@ -20,21 +18,14 @@ from warpsar.world.world import geometry_of, posed
 VIEWS = ("az001", "az002")
 
 
-def script(name: str) -> Any:
-    folder = str(ROOT / "benchmarks")
-    if folder not in sys.path:
-        sys.path.insert(0, folder)
-    return importlib.import_module(name)
-
-
 @pytest.fixture(scope="module")
 def cars() -> Any:
-    return script("gotcha_cars")
+    return benchmark("gotcha_cars")
 
 
 @pytest.fixture(scope="module")
 def objects() -> Any:
-    return script("gotcha_objects")
+    return benchmark("gotcha_objects")
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +45,7 @@ def alone(scene: Scene, cars: Any, name: str = "car094") -> Scene:
     (one,) = (o for o in scene.objects if o.name == name)
     own = replace(with_objects(scene, [one]), effects={})
     own = cars.with_effects(own, multibounce={"strength": 0.3, "max_bounces": 2, "reflection": "lobe"})
-    own = cars.with_effects(own, point_spread=script("gotcha").KNOWN_SPREAD)
+    own = cars.with_effects(own, point_spread=benchmark("gotcha").KNOWN_SPREAD)
     own = replace(own, views=[v for v in own.views if v.name in VIEWS])
     return measured(own, cars, None)
 
@@ -76,7 +67,7 @@ def measured(scene: Scene, cars: Any, generator: np.random.Generator | None, loo
 
 def test_every_car_has_fewer_than_ten_numbers_and_a_brightness_of_its_own(scene: Scene, cars: Any) -> None:
     """Those of its body, its brightness, and its glint's place and brightness."""
-    car, glint = script("gotcha").CAR, Object(name="glint000", primitive="box", size_m=(0.3, 0.3, 0.1))
+    car, glint = benchmark("gotcha").CAR, Object(name="glint000", primitive="box", size_m=(0.3, 0.3, 0.1))
     numbers_of_a_glint = len(cars.keys_of(glint, car)) + 1
     assert numbers_of_a_glint == 3
     materials = [one.material for one in scene.objects]
@@ -145,9 +136,11 @@ def test_a_window_has_the_detail_of_the_whole_image(scene: Scene, cars: Any) -> 
 
 def test_a_glint_is_found_where_the_residual_has_one(scene: Scene, cars: Any) -> None:
     """A point of power beside a car: a glint is seen within a pixel of it. Without the point there is none."""
-    glints = script("gotcha_glints")
+    glints = benchmark("gotcha_glints")
     own = alone(scene, cars)
-    own = measured(cars.with_effects(replace(own, effects={}), point_spread=script("gotcha").KNOWN_SPREAD), cars, None)
+    own = measured(
+        cars.with_effects(replace(own, effects={}), point_spread=benchmark("gotcha").KNOWN_SPREAD), cars, None
+    )
     assert len(glints.with_glints(own, VIEWS).objects) == 1
     place = np.add(own.objects[0].position_m, (1.0, -1.5, 0.0))
     views = []
@@ -176,7 +169,7 @@ def test_a_car_is_found(scene: Scene, cars: Any) -> None:
     """As the last model has it, without bounces."""
     truth = alone(scene, cars)
     effects = {name: table for name, table in truth.effects.items() if name != "multibounce"}
-    found_again(measured(replace(truth, effects=effects), cars, None), cars, script("gotcha").CAR, {"heading": 0.0})
+    found_again(measured(replace(truth, effects=effects), cars, None), cars, benchmark("gotcha").CAR, {"heading": 0.0})
 
 
 @pytest.mark.slow

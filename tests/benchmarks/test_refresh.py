@@ -1,14 +1,11 @@
 """benchmarks/refresh.py and tables.py: which tables are older than the code they measure, in a small repository."""
 
-import importlib
 import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
 
 import pytest
-from conftest import ROOT
+from conftest import ROOT, benchmark
 
 from warpsar.effects.registry import declared, get, names, validate
 
@@ -29,15 +26,7 @@ Between them.
 """
 
 
-def module(name: str) -> ModuleType:
-    """A script of benchmarks/, imported beside its neighbours."""
-    folder = str(ROOT / "benchmarks")
-    if folder not in sys.path:
-        sys.path.insert(0, folder)
-    return importlib.import_module(name)
-
-
-refresh, scenes, tables = module("refresh"), module("scenes"), module("tables")
+refresh, scenes, tables = benchmark("refresh"), benchmark("scenes"), benchmark("tables")
 
 
 def git(root: Path, *words: str) -> str:

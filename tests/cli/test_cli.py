@@ -10,6 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from warpsar.cli import main as cli
+from warpsar.cli import options
 from warpsar.errors import DeviceError, InputError, WarpsarError
 
 pytestmark = pytest.mark.unit
@@ -180,3 +181,29 @@ def test_quiet_leaves_out_messages_alone(monkeypatch: pytest.MonkeyPatch, tmp_pa
     words = ["simulate", "scene.toml", "-o", "out"]
     assert CliRunner().invoke(cli.main, [*words, "-q"]).stderr == "warning: a warning\n"
     assert CliRunner().invoke(cli.main, words).stderr == "a message\nwarning: a warning\n"
+
+
+def test_a_run_says_how_to_make_it_again() -> None:
+    """What was given, and that alone: arguments, values of several words, flags; what the command needs comes first."""
+
+    @click.command(name="measure")
+    @click.option("--window", type=float, default=2.0)
+    @click.option("--size", nargs=2, type=int)
+    @click.option("--format", "formats", multiple=True)
+    @click.option("--closed-form", is_flag=True)
+    @click.argument("products", nargs=-1, required=True)
+    @options.out("Folder.")
+    @options.resume
+    def command(**_: object) -> None:
+        click.echo(options.words())
+        click.echo(options.words("--resume"))
+
+    given = ["--closed-form", "--size", "3", "4", "a b", "c", "-o", "out", "--format", "x", "--format", "y", "--resume"]
+    said = CliRunner().invoke(command, given, catch_exceptions=False).output.splitlines()
+    needed, more = (
+        ["warpsar", "measure", "a b", "c", "-o", "out"],
+        ["--size", "3", "4", "--format", "x", "--format", "y"],
+    )
+    assert said == [str([*needed, *more, "--closed-form"]), str([*needed, "--resume", *more, "--closed-form"])]
+    again = CliRunner().invoke(command, [*needed[2:], *more, "--closed-form"], catch_exceptions=False)
+    assert again.output.splitlines() == said

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 from bodies import WAVELENGTH, K, amplitudes, rectangles
+from conftest import benchmark
 from numpy.typing import NDArray
-from test_experiments import module
 
 import warpsar
 
@@ -68,7 +68,7 @@ def lid_sends(duct, low_m: float, phi: NDArray[np.float64]) -> NDArray[np.comple
 
 @pytest.fixture(scope="module")
 def modes():
-    return module("duct_modes")
+    return benchmark("duct_modes")
 
 
 def bend(modes, scale: float):

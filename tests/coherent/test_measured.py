@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_experiments import module
+from conftest import benchmark
 
 pytestmark = pytest.mark.unit
 
 
 @pytest.fixture(scope="module")
 def rcs_checks() -> Any:
-    return module("rcs_checks")
+    return benchmark("rcs_checks")
 
 
 @pytest.mark.measured

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import warpsar
-from warpsar.curves import amplitudes as kept
+from warpsar.curves import observe as kept
 
 pytestmark = pytest.mark.unit
 

@@ -11,7 +11,7 @@ import pytest
 import warpsar
 from warpsar import InputError
 from warpsar.compare.curve import compare_curves
-from warpsar.curves.amplitudes import amplitudes
+from warpsar.curves.observe import amplitudes
 from warpsar.diagnosis.curves import diagnose_curves
 from warpsar.world.frame import SPEED_OF_LIGHT
 

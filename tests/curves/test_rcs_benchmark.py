@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_experiments import module
+from conftest import benchmark
 
 import warpsar
 from warpsar.curves.sectors import apertures
@@ -19,12 +19,12 @@ FREQUENCIES = {"f9": 2.56e9, "f10": 5.12e9, "fx1": 7e9, "f11": 10.24e9}
 
 @pytest.fixture(scope="module")
 def rcs() -> Any:
-    return module("rcs")
+    return benchmark("rcs")
 
 
 @pytest.fixture(scope="module")
 def bodies() -> Any:
-    return module("rcs_bodies")
+    return benchmark("rcs_bodies")
 
 
 def run(rcs: Any, data: Path, out: Path, *more: str) -> dict[str, Any]:
@@ -92,7 +92,7 @@ def test_a_second_run_takes_its_amplitudes_from_the_cache(
     def never(*args: Any, **kwargs: Any) -> None:
         raise AssertionError("worked out again")
 
-    monkeypatch.setattr("warpsar.curves.amplitudes.rcs", never)
+    monkeypatch.setattr("warpsar.curves.observe.rcs", never)
     assert run(rcs, synthetic, tmp_path)["bodies"] == first["bodies"]
 
 
@@ -110,7 +110,7 @@ def test_the_parametric_duct_is_a_closed_body_with_one_mouth(bodies: Any) -> Non
 
 
 def test_the_slab_is_the_engines_and_thin_ones_send_back_by_their_polarization(bodies: Any) -> None:
-    learned = module("rcs_learned")
+    learned = benchmark("rcs_learned")
     azimuth, frequency = np.linspace(40.0, 90.0, 26), 5.12e9
     metal = warpsar.rcs(bodies.scene(bodies.sheet()), azimuth, 90.0, [frequency]).terms_m["single"][:, 0, 0]
     thin = {"eps_r": [2.61, -0.0354], "thickness_m": 1.5e-3, "rms_height_m": 0.0}

@@ -94,6 +94,8 @@ from warpsar.kernels.scatter import scatter_kernel
 from warpsar.render.render import ViewRender
 from warpsar.simulation.rays import Rays
 from warpsar.surface.stage import Stage
+from warpsar.kernels.shade import HitSurfaces
+from warpsar.runtime.structs import fill
 
 LAW = {"model": "several", "rms_height_m": 0.001, "several_0": -1.0, "several_4": 0.5}
 SLOPE = 0.1  # of the last number, which stands in the second vector of a hit's coordinates, per metre
@@ -182,7 +184,9 @@ def test_sixteen_hits_at_once_have_the_numbers_of_one(slopes: bool) -> None:
     one, zero, none = put([1.0]), put([0], int), put(np.zeros(n), int)
     cosine = put(random.uniform(0.2, 0.9, n))
     zeta = put(random.normal(scale=0.5, size=(n, 8)) - [0, 6, 0, 0, 0, 0, 0, 0], vec8)
-    inputs = [mine, 0, 0, 200.0, 0, none, zero, cosine, put(np.ones(n)), put(np.zeros(n)), zero, one, one, zeta]
+    of_hits = {"cos_incidence": cosine, "cos_twist": put(np.ones(n)), "cos2_azimuth": put(np.zeros(n)), "face": none}
+    of_materials = {"face_material": zero, "spectrum": zero, "eps_im": one, "aspect": one}
+    inputs = [mine, fill(HitSurfaces, wavenumber=200.0, **of_hits, **of_materials), zeta]
     found = []
     for kernel, threads in ((scatter_kernel("several", slopes), n), (at_once(scatter_kernel("several", slopes)), 6)):
         sigma, d_zeta = wp.zeros(n, dtype=float, device="cpu"), wp.zeros(n, dtype=vec8, device="cpu")

@@ -4,7 +4,6 @@
 """
 
 import ast
-import importlib
 import linecache
 import pickle
 import re
@@ -20,7 +19,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import ROOT
+from conftest import ROOT, benchmark
 
 from warpsar.errors import LONGEST_MESSAGE, InputError, shown
 from warpsar.formats.base import mat5
@@ -40,10 +39,7 @@ def module(name: str) -> Any:
     """A script of benchmarks/, imported beside its neighbours; what makes the sound files needs every extra."""
     for extra in ("rasterio", "sarkit", "h5py"):
         pytest.importorskip(extra, reason="needs the extras geo, sicd and hdf5")
-    folder = str(ROOT / "benchmarks")
-    if folder not in sys.path:
-        sys.path.insert(0, folder)
-    return importlib.import_module(name)
+    return benchmark(name)
 
 
 # ---- all readers ----

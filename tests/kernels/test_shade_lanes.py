@@ -14,6 +14,8 @@ from warpsar.kernels.codes import FRACTION_LIMIT, Spectrum
 from warpsar.kernels.lane_kernels import LANES, at_once
 from warpsar.kernels.scatter import scatter_kernel
 from warpsar.kernels.scattering import sigma0_and_slopes
+from warpsar.kernels.shade import HitSurfaces
+from warpsar.runtime.structs import fill
 
 pytestmark = pytest.mark.unit
 
@@ -76,18 +78,21 @@ def in_lanes(given: dict[str, Any], polarization: int, variant: int) -> tuple[np
     count = given["material"].size
     sigma = wp.zeros(count, dtype=float, device="cpu")
     slopes = wp.zeros(count, dtype=wp.vec4, device="cpu")
-    inputs = [
-        put(np.zeros(0, np.int32), int),
-        polarization,
-        variant,
-        given.get("wavenumber", 200.0),
-        0,
-        put(np.arange(count, dtype=np.int32), int),
-        put(given["material"], int),
-    ]
-    inputs += [put(given[name]) for name in ("incidence", "twist", "azimuth2")]
-    materials = (given.get("spectrum", tuple(Spectrum)), given.get("eps_im", EPS_IM), given.get("aspect", ASPECT))
-    inputs += [put(materials[0], int), put(materials[1]), put(materials[2]), put(given["zeta"], wp.vec4)]
+    surfaces = fill(
+        HitSurfaces,
+        polarization=polarization,
+        variant=variant,
+        wavenumber=given.get("wavenumber", 200.0),
+        face=put(np.arange(count, dtype=np.int32), int),
+        face_material=put(given["material"], int),
+        cos_incidence=put(given["incidence"]),
+        cos_twist=put(given["twist"]),
+        cos2_azimuth=put(given["azimuth2"]),
+        spectrum=put(given.get("spectrum", tuple(Spectrum)), int),
+        eps_im=put(given.get("eps_im", EPS_IM)),
+        aspect=put(given.get("aspect", ASPECT)),
+    )
+    inputs = [put(np.zeros(0, np.int32), int), surfaces, put(given["zeta"], wp.vec4)]
     blocks = -(-count // LANES)
     values, both = (at_once(scatter_kernel("ka_spm", kept, some=False)) for kept in (False, True))
     wp.launch(both, blocks, inputs=inputs, outputs=[sigma, slopes], device="cpu")

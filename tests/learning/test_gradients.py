@@ -23,7 +23,7 @@ from worlds import scene_of, view
 
 from warpsar.io.images import write_exr, write_tiff
 from warpsar.learning.problem import FitProblem
-from warpsar.learning.regularise import ROUNDING
+from warpsar.learning.roughness import ROUNDING
 from warpsar.runtime import devices
 from warpsar.scene.scene import Scene
 from warpsar.simulation.command import simulate

@@ -27,7 +27,7 @@ from warpsar.learning.gradcheck import TOLERANCE, _differences, check_gradient
 from warpsar.learning.metrics import pooled_metrics
 from warpsar.learning.optimise import FitState, begin, levenberg_marquardt
 from warpsar.learning.problem import FitProblem
-from warpsar.learning.validity import outside_domains
+from warpsar.learning.trust import outside_domains
 from warpsar.runtime import devices
 from warpsar.scene.scene import Scene
 from warpsar.simulation.command import simulate

@@ -16,7 +16,7 @@ from test_learn import field_scene, save_scene, with_material
 
 from warpsar.errors import InputError
 from warpsar.kernels.codes import Scale
-from warpsar.kernels.prior import prior_kernel
+from warpsar.kernels.loss import prior_kernel
 from warpsar.learning import command as learning
 from warpsar.learning.adam import Adam, GraphAdam
 from warpsar.learning.identify import identify, of_information

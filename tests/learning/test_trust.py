@@ -13,8 +13,7 @@ from test_learn import save_scene
 from warpsar.learning import command as learning
 from warpsar.learning.learn import Learned, learn
 from warpsar.learning.options import LearnOptions
-from warpsar.learning.trust import doubts
-from warpsar.learning.validity import outside_domains
+from warpsar.learning.trust import doubts, outside_domains
 from warpsar.scene.scene import Scene
 
 ANGLES = ((20.0, 35.0), (140.0, 50.0))

@@ -14,8 +14,10 @@ from worlds import SOIL, WAVENUMBER, box, ground, mesh_of, scene_of, sigma0, vie
 from warpsar import InputError, Material, Scene, learn, renderer, simulate
 from warpsar.kernels.codes import Polarization
 from warpsar.kernels.models import facet
+from warpsar.kernels.shade import HitSurfaces
 from warpsar.learning.problem import FitProblem
-from warpsar.learning.validity import outside_domains
+from warpsar.learning.trust import outside_domains
+from warpsar.runtime.structs import fill
 from warpsar.surface.tables import Tables
 
 TABLE = "incidence_deg,HH,VV,HV\n20,-8,-7,-16\n40,-14,-12,-22\n60,-20,-16,-29\n"
@@ -290,8 +292,11 @@ def test_a_tables_sigma0_has_the_derivatives_of_differences_to_its_values(table:
     def sigma(db: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         values, out = put(db.astype(np.float32), float, True), put(np.zeros(3, np.float32), float, True)
         zero = put(np.zeros(3, np.int32), int)
-        inputs = [put(np.arange(3, dtype=np.int32), int), int(Polarization.VV), 1, zero, zero]
-        inputs += [put(np.cos(angles).astype(np.float32), float), put(np.ones(3, np.float32), float), tables.rows]
+        cosine = put(np.cos(angles).astype(np.float32), float)
+        where = dict.fromkeys(("face", "face_material", "spectrum"), zero)
+        where |= dict.fromkeys(("cos_incidence", "cos_twist", "cos2_azimuth", "eps_im", "aspect"), cosine)
+        surfaces = fill(HitSurfaces, polarization=int(Polarization.VV), local_basis=1, **where)
+        inputs = [put(np.arange(3, dtype=np.int32), int), surfaces, tables.rows]
         inputs += [tables.incidence_deg, values, put(np.zeros((3, 4), np.float32), wp.vec4)]
         with wp.Tape() as tape:
             none = wp.empty(0, dtype=wp.vec4, device="cpu")

@@ -14,8 +14,10 @@ from worlds import WAVENUMBER, sigma0
 from warpsar.kernels.codes import PAGE, Polarization, Spectrum
 from warpsar.kernels.lane_kernels import LANES, at_once
 from warpsar.kernels.scatter import functions_of, places_of, scatter_kernel
+from warpsar.kernels.shade import HitSurfaces
 from warpsar.models import registry
 from warpsar.models.base.model import DEFAULT
+from warpsar.runtime.structs import fill
 
 pytestmark = pytest.mark.unit
 
@@ -199,22 +201,20 @@ def shaded(
         return wp.array(np.ascontiguousarray(values), dtype=dtype, device=device)
 
     sigma, by_hit = put(np.full(n, -1.0, np.float32)), put(np.zeros((n, 4), np.float32), wp.vec4)
-    inputs = [
-        put(mine, int),
-        int(Polarization[polarization]),
-        0,
-        k,
-        0,
-        put(random.integers(0, 2, n).astype(np.int32), int),
-        put(np.array([0, 1], np.int32), int),
-        put(np.cos(s["theta"]).astype(np.float32)),
-        put(random.uniform(0.5, 1, n).astype(np.float32)),
-        put(np.ones(n, np.float32)),
-        put(np.array([0, 1], np.int32), int),
-        put(np.array([0.0, 2.0], np.float32)),
-        put(np.ones(2, np.float32)),
-        put(zeta, wp.vec4),
-    ]
+    read = fill(
+        HitSurfaces,
+        polarization=int(Polarization[polarization]),
+        wavenumber=k,
+        face=put(random.integers(0, 2, n).astype(np.int32), int),
+        face_material=put(np.array([0, 1], np.int32), int),
+        cos_incidence=put(np.cos(s["theta"]).astype(np.float32)),
+        cos_twist=put(random.uniform(0.5, 1, n).astype(np.float32)),
+        cos2_azimuth=put(np.ones(n, np.float32)),
+        spectrum=put(np.array([0, 1], np.int32), int),
+        eps_im=put(np.array([0.0, 2.0], np.float32)),
+        aspect=put(np.ones(2, np.float32)),
+    )
+    inputs = [put(mine, int), read, put(zeta, wp.vec4)]
     kernel = scatter_kernel(model, slopes, Polarization[polarization] if device == "cuda" else None)
     kernel, block = (at_once(kernel), LANES) if lanes else (kernel, 1)
     out = by_hit if slopes else wp.empty(0, dtype=wp.vec4, device=device)

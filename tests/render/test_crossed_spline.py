@@ -16,9 +16,11 @@ from warpsar import Mesh, Scene, renderer
 from warpsar.kernels import crossed_spline
 from warpsar.kernels.codes import Spectrum
 from warpsar.kernels.lane_kernels import LANES, at_once
-from warpsar.render.crossed_spline import spline, table
+from warpsar.kernels.shade import HitSurfaces
 from warpsar.render.ways import i2em
+from warpsar.render.ways.i2em import spline, table
 from warpsar.runtime import launches
+from warpsar.runtime.structs import fill
 
 SPECTRA = ["gaussian", "exponential"]
 LOSS = {"gaussian": 0.3, "exponential": 2.0}
@@ -53,16 +55,19 @@ def read(
 
     coefficients = table(((1 - code, 1.0), (code, LOSS[spectrum])), wp.get_device(device))
     sigma, slopes = put(np.zeros(n, np.float32), float), put(np.zeros((n, 4), np.float32), wp.vec4)
+    surfaces = fill(
+        HitSurfaces,
+        wavenumber=WAVENUMBER,
+        face=put(np.zeros(n, np.int32), int),
+        face_material=put(np.zeros(1, np.int32), int),
+        cos_incidence=put(np.cos(theta).astype(np.float32), float),
+        cos_twist=put(np.full(n, cos_psi, np.float32), float),
+        spectrum=put(np.array([code], np.int32), int),
+        eps_im=put(np.array([LOSS[spectrum]], np.float32), float),
+    )
     inputs = [
         put(np.arange(n, dtype=np.int32), int),
-        WAVENUMBER,
-        0,
-        put(np.zeros(n, np.int32), int),
-        put(np.zeros(1, np.int32), int),
-        put(np.cos(theta).astype(np.float32), float),
-        put(np.full(n, cos_psi, np.float32), float),
-        put(np.array([code], np.int32), int),
-        put(np.array([LOSS[spectrum]], np.float32), float),
+        surfaces,
         put(zeta.astype(np.float32), wp.vec4),
         put(np.ones(1, np.int32), int),
         coefficients,

@@ -16,6 +16,8 @@ from warpsar.kernels import crossed_table
 from warpsar.kernels.codes import Spectrum
 from warpsar.kernels.incidence_table import DOUBLE, SINGLE
 from warpsar.kernels.lane_kernels import LANES, at_once
+from warpsar.kernels.shade import HitSurfaces
+from warpsar.runtime.structs import fill
 
 pytestmark = pytest.mark.unit
 
@@ -51,16 +53,14 @@ class Table:
         n = 2 * len(theta)
         mine = np.arange(1, n, 2, dtype=np.int32)
         sigma, slopes = self.put(np.full(n, -1.0, np.float32), float), self.put(np.zeros((n, 4), np.float32), wp.vec4)
-        inputs = [
-            self.put(mine, int),
-            0,
-            self.put(np.zeros(n, np.int32), int),
-            self.put(np.array([spectrum], np.int32), int),
-            self.put(np.repeat(np.cos(theta), 2).astype(np.float32), float),
-            self.put(np.full(n, cos_psi, np.float32), float),
-            self.once,
-            self.twice,
-        ]
+        surfaces = fill(
+            HitSurfaces,
+            face=self.put(np.zeros(n, np.int32), int),
+            face_material=self.put(np.array([spectrum], np.int32), int),
+            cos_incidence=self.put(np.repeat(np.cos(theta), 2).astype(np.float32), float),
+            cos_twist=self.put(np.full(n, cos_psi, np.float32), float),
+        )
+        inputs = [self.put(mine, int), surfaces, self.once, self.twice]
         outputs = [sigma, slopes]
         kernel = crossed_table.scatter_kernel(True)
         kernel, block = (at_once(kernel), LANES) if lanes else (kernel, 1)

@@ -1,13 +1,12 @@
 """The gallery's scenes: each loads as written, and one is simulated and drawn."""
 
-import importlib
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pytest
+from conftest import ROOT, benchmark
 from PIL import Image
 
 from warpsar.io.images import read_channel
@@ -15,15 +14,12 @@ from warpsar.scene.scene import Scene
 from warpsar.simulation.command import simulate
 from warpsar.world.library.surfaces import SURFACES
 
-ROOT = Path(__file__).resolve().parents[2]
 PICTURES = ROOT / "docs" / "figures" / "gallery"
 
 
 @pytest.fixture(scope="module")
-def gallery() -> Iterator[ModuleType]:
-    sys.path.insert(0, str(ROOT / "benchmarks"))
-    yield importlib.import_module("gallery")
-    sys.path.remove(str(ROOT / "benchmarks"))
+def gallery() -> ModuleType:
+    return benchmark("gallery")
 
 
 NAMES = ["city_block", "airport", "ship", "vehicle", "terrain"]

@@ -25,8 +25,7 @@ from warpsar.errors import InputError
 from warpsar.runtime import busy as busy_module
 from warpsar.runtime import devices
 from warpsar.runtime.busy import busy
-from warpsar.runtime.devices import resolve_device
-from warpsar.runtime.driver import no_driver_warning
+from warpsar.runtime.devices import no_driver_warning, resolve_device
 from warpsar.scene.scene import Scene
 from warpsar.simulation.checks import Findings, grid_warnings
 from warpsar.simulation.command import Simulation, simulate

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import warp as wp
-from test_experiments import module
+from conftest import benchmark
 
 from warpsar.speckle.own import LAGS
 from warpsar.speckle.residual import residual_autocovariance
@@ -19,7 +19,7 @@ LOOKS = 4.0
 
 @pytest.fixture(scope="module")
 def limits() -> Any:
-    return module("limits")
+    return benchmark("limits")
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +27,7 @@ def gained(limits: Any, tmp_path_factory: pytest.TempPathFactory) -> Any:
     """Views whose gains differ: the three numbers that count move every pixel of a view alike."""
     effects = {"view_gain": {"gain_db": {"v0": 0.3, "v1": -0.3, "v2": 0.2, "v3": -0.2}}}
     return limits.NoiseFree(
-        module("diagnosis_rates").truth(), effects, wp.get_device("cpu"), tmp_path_factory.mktemp("images")
+        benchmark("diagnosis_rates").truth(), effects, wp.get_device("cpu"), tmp_path_factory.mktemp("images")
     )
 
 
@@ -43,7 +43,7 @@ def test_sum_of_autocovariances_is_the_programs(limits: Any, gained: Any) -> Non
 def test_correlated_autocovariance_is_that_of_the_draws(limits: Any) -> None:
     """Of gamma speckle whose fields have a Gaussian point-spread function."""
     random = np.random.default_rng(1)
-    diagnosis_rates = module("diagnosis_rates")
+    diagnosis_rates = benchmark("diagnosis_rates")
     power = diagnosis_rates.speckle(random, (1024, 1024), 1, True) - 1.0
     known = limits.correlated(diagnosis_rates.CORRELATION_PX)
     for row, col in ((0, 0), (0, 1), (1, 1), (2, 0), (0, 3)):

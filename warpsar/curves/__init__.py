@@ -7,9 +7,8 @@
 | `angles.py` | how many angles are independent |
 | `sectors.py` | from where an aperture is seen, by geometry |
 | `lids.py` | flat parts that an opening may lie behind, by geometry |
-| `amplitudes.py` | the engine's amplitudes, term by term, kept on disk |
 | `observed.py` | a measured curve beside the terms of its model |
-| `observe.py` | the curves of a scene |
+| `observe.py` | the curves of a scene, and the engine's amplitudes for them, term by term, kept on disk |
 | `rivals.py` | what needs no physics: a constant level, a smooth curve |
 | `metrics.py` | mean abs(dB) and correlation |
 | `search.py` | which terms the train curves pay for, and whether left-out curves confirm them |

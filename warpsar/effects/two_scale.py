@@ -16,9 +16,11 @@ from warpsar.effects.base.signature import SeenImage
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels import shade
 from warpsar.kernels.effects import two_scale as kernels
+from warpsar.kernels.geometry import RayGrid
 from warpsar.kernels.lane_kernels import LANES, at_once
 from warpsar.runtime.launches import Launch, by_elements
 from warpsar.runtime.program import Program
+from warpsar.runtime.structs import fill
 
 _NODES = 5  # Gauss-Hermite points per slope: exact for a ninth-degree polynomial
 
@@ -70,25 +72,16 @@ class TwoScale(Effect):
         x, w = np.polynomial.hermite_e.hermegauss(_NODES)
         w = w / w.sum()
         tilts = [[a, b, wa * wb] for a, wa in zip(x, w, strict=True) for b, wb in zip(x, w, strict=True)]
+        axes = {name: wp.vec3(*getattr(geometry, name)) for name in "duv"}
         plain = render.scatter(zeta, polarization)
         result = render.program.array(sigma.shape[0])
         inputs = [
             p,
             wp.array(np.array(tilts, np.float32), dtype=wp.vec3, device=device),
-            polarization,
-            stage.variant,
-            geometry.wavenumber,
-            int(stage.local_basis),
-            geometry.slant_range_m or 0.0,
-            *(wp.vec3(*axis) for axis in (geometry.d, geometry.u, geometry.v)),
-            stage.target.vertices,
-            stage.target.faces,
-            hits.face,
+            fill(RayGrid, slant_range=geometry.slant_range_m or 0.0, **axes),
+            stage.target.triangles,
+            stage.hit_surfaces(hits, polarization),
             hits.point,
-            stage.face_material,
-            stage.spectrum,
-            stage.eps_im,
-            stage.aspect,
             zeta,
             plain,
             sigma,
@@ -135,7 +128,7 @@ def _in_lanes(program: Program, inputs: list[Any], result: wp.array, per_hit: li
             n,
             inputs=inputs,
             outputs=[result, none],
-            adj_inputs=[aside.get(id(a)) for a in inputs],
+            adj_inputs=[aside.get(id(a)) if isinstance(a, wp.array) else wp.Tape().get_adjoint(a) for a in inputs],
             adj_outputs=[result.grad, None],
             device=device,
             adjoint=True,

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from warpsar.io import html as report
-from warpsar.learning.table_figure import figure_of_table
+from warpsar.learning.table import figure_of_table
 
 
 def tables_section(content: Mapping[str, Any]) -> list[str]:

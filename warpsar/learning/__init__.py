@@ -1,21 +1,21 @@
 """Which surface and effect parameters explain measured images, and how well the images determine them.
 
 options: how to fit. coordinates: what x is. misfit: the loss.
-held: which views a process holds. view: one of them. streams: tasks side by side on a GPU.
+held: which views a process holds. view: one of them, and how its image changes with x.
 prior: what the scene knows to a tolerance. pull: where the images pull against it.
-roughness: what is expected of fields in diagnosis. sparse_quadratic: their steps.
-problem: views and images as one function of x. regularise: total variation. optimise, adam: one step of a fit.
+roughness: what rough fields cost: total variation, and what diagnosis expects. sparse_quadratic: their steps.
+problem: views and images as one function of x. optimise, adam: one step of a fit.
 gradcheck: the gradient against differences. descent: a fit from first to last iteration. learn: the whole fit.
-identify: intervals of a few parameters. fields: intervals of maps. validity: where the models leave their domain.
+identify: intervals of a few parameters. fields: intervals of maps.
 geometry: bodies, angles and spacings as numbers. pose_pixels: the pixels that tell them. pose: surface,
 effects and geometry as one problem, and its descent. pose_sharing: objects that share a render. posed_images: images of
 a view whose geometry lies elsewhere. pose_search: from metres away to the likeliest pose. glints: bright points
 beside a body's shape. learned_objects: poses in
 `learn`. object_figures: objects before and after. term: the learned term of a material's sigma0, from images.
-table: its table of sigma0, from images. table_figure: that table before and after. device_values: what both are fitted
+table: its table of sigma0, from images, with a figure. device_values: what both are fitted
 by. metrics: how well the images of a fit agree. trust: do the intervals hold, and what did a fit make worse?
 curves: permittivities from measured curves of RCS. results: what was learned, as a scene. command: `warpsar learn`.
-profiles: intervals of a few parameters by profile likelihood. jacobian: how one view's image changes with x.
+profiles: intervals of a few parameters by profile likelihood.
 """
 
 import lazy_loader

@@ -25,7 +25,7 @@ from warpsar.learning.learn import Learned, learn
 from warpsar.learning.object_figures import figure_of_objects
 from warpsar.learning.options import LearnOptions
 from warpsar.learning.pull import leaving
-from warpsar.learning.table_figure import figure_of_table
+from warpsar.learning.table import figure_of_table
 from warpsar.runtime import console, once
 from warpsar.scene.scene import Scene
 from warpsar.simulation.outputs import opened, write_json

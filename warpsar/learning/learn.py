@@ -30,8 +30,7 @@ from warpsar.learning.pull import Pull, pulls
 from warpsar.learning.results import learned_scene
 from warpsar.learning.table import LearnedTable, with_learned_tables
 from warpsar.learning.term import Trained, as_asked, with_trained_terms
-from warpsar.learning.trust import doubts, worse
-from warpsar.learning.validity import outside_domains
+from warpsar.learning.trust import doubts, outside_domains, worse
 from warpsar.runtime import console, devices, once
 from warpsar.scene.scene import Scene, scene_or_file
 from warpsar.simulation.rays import Rays

@@ -17,7 +17,7 @@ import numpy as np
 import warp as wp
 
 from warpsar.errors import InputError
-from warpsar.kernels import prior as kernels
+from warpsar.kernels import loss as kernels
 from warpsar.kernels.codes import Scale
 from warpsar.learning.coordinates import DeviceX, SceneCoordinates
 from warpsar.learning.geometry import Geometry

@@ -6,6 +6,7 @@ views a process holds, `view.py` what one view is, `misfit.py` what the loss is.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
@@ -24,13 +25,10 @@ from warpsar.kernels import loss as loss_kernels
 from warpsar.kernels import metrics as metrics_kernels
 from warpsar.learning.coordinates import DeviceX, EffectCoordinate, SceneCoordinates
 from warpsar.learning.held import views_held, with_render
-from warpsar.learning.jacobian import Move, Nodes, ViewJacobian
 from warpsar.learning.misfit import Misfit
 from warpsar.learning.prior import DevicePrior, Prior, refuse_prior
-from warpsar.learning.regularise import TotalVariation
-from warpsar.learning.roughness import FieldPrior, Roughness
-from warpsar.learning.streams import Streams
-from warpsar.learning.view import FitView
+from warpsar.learning.roughness import FieldPrior, Roughness, TotalVariation
+from warpsar.learning.view import FitView, Move, Nodes, ViewJacobian
 from warpsar.render.render import ViewRender
 from warpsar.render.rendered import Rendered
 from warpsar.runtime import threads
@@ -43,6 +41,31 @@ from warpsar.speckle.likelihood import Curvature
 from warpsar.surface.stage import Stage
 from warpsar.world.tables import View
 from warpsar.world.world import lacks_images
+
+MOST = 16  # streams on one device
+
+
+class Streams:
+    """CUDA streams that are made when first needed and kept.
+
+    One small view does not fill the device, and its arithmetic idles while memory is cleared. `views`: how many there
+    are, for two streams each.
+    """
+
+    def __init__(self, device: wp.Device, views: int) -> None:
+        self._device, self._count = device, min(2 * views, MOST)
+        self._streams: list[wp.Stream] = []
+
+    def run(self, tasks: Sequence[Callable[[], None]]) -> None:
+        """Queue the tasks; work that is queued after this waits for all of them."""
+        if not self._streams:
+            self._streams = [wp.Stream(self._device) for _ in range(self._count)]
+        for task, stream in zip(tasks, itertools.cycle(self._streams), strict=False):
+            with wp.ScopedStream(stream):  # which waits for what came before
+                task()
+        for stream in self._streams[: len(tasks)]:
+            wp.wait_stream(stream)
+
 
 T = TypeVar("T")
 

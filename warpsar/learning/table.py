@@ -6,16 +6,17 @@ incidence, so that a row which no image has seen follows its neighbours a little
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
 from scipy.linalg import block_diag
 
 from warpsar.errors import InputError
+from warpsar.io.figures import new
 from warpsar.learning.device_values import SEEN, DeviceBlock, most_likely, put, refuse_run, seen_cosines
 from warpsar.learning.identify import information_of
 from warpsar.learning.metrics import pooled_metrics
@@ -26,6 +27,9 @@ from warpsar.scene.scene import Scene
 from warpsar.world import sigma0_table
 from warpsar.world.models import TABLE
 from warpsar.world.sigma0_table import LARGEST_DB, Sigma0Table
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 SPREAD_DB = 3.0  # expected of a value about the table as given
 WIDTH_DEG = 10.0  # over which the differences from it are alike
@@ -203,3 +207,26 @@ def _slopes(
                 images.append(view.modelled())
             columns.append([np.log(up / down) / (2.0 * STEP_DB) for up, down in zip(*images, strict=True)])
         yield from (np.stack(each, axis=1) for each in zip(*columns, strict=True))
+
+
+COLOURS = {"HH": "C0", "VV": "C1", "HV": "C2"}
+SURE = 1.96  # standard deviations of a 95 % interval
+
+
+def figure_of_table(name: str, told: Mapping[str, Any]) -> Figure:
+    """Each learned channel as given (dashed) and as learned, with 95 % intervals; grey is the incidence seen.
+
+    `told` is what learn.json says of the table (`LearnedTable.content`).
+    """
+    figure, axis = new(7.0, 4.4)
+    incidence = np.asarray(told["incidence_deg"])
+    for channel, sd in told["sd_db"].items():
+        colour, learned, half = COLOURS[channel], np.asarray(told["learned_db"][channel]), SURE * np.asarray(sd)
+        axis.fill_between(incidence, learned - half, learned + half, color=colour, alpha=0.18, lw=0)
+        axis.plot(incidence, told["given_db"][channel], "--", color=colour, lw=1.2, label=f"{channel} as given")
+        axis.plot(incidence, learned, ".-", color=colour, label=f"{channel} learned, 95 %")
+    axis.axvspan(*told["incidence_seen_deg"], color="0.9", lw=0, zorder=0, label="seen by the train views")
+    axis.set(xlabel="local incidence [deg]", ylabel="sigma0 [dB]", xlim=(incidence[0], incidence[-1]), title=name)
+    axis.grid(alpha=0.3, lw=0.4)
+    figure.legend(loc="outside lower center", frameon=False, fontsize=8, ncols=len(told["sd_db"]) + 1)
+    return figure

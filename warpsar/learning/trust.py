@@ -1,4 +1,5 @@
-"""Whether the intervals of a fit hold, and if not, why; and what a fit made worse."""
+"""Whether the intervals of a fit hold, and if not, why; what a fit made worse; and how much of the lit surface lies
+outside the domain of its model (equations 9, 12, 19, corrected)."""
 
 from __future__ import annotations
 
@@ -11,6 +12,7 @@ from warpsar.compare.comparison import Comparison
 from warpsar.compare.judgement import Judgement
 from warpsar.learning.problem import FitProblem
 from warpsar.models.base.model import DEFAULT
+from warpsar.render.domains import lit_areas, model_areas
 
 OUTSIDE = 0.5  # share of a material's lit area outside its model's domain, from which its values mean little
 LESS_ALIKE = 0.05  # of a correlation, by which an image must have become less like the measured one to be told
@@ -27,7 +29,7 @@ def doubts(
     """Why the intervals at x do not hold, a sentence each; none where nothing speaks against them.
 
     An interval takes the model to be right, the loss to be a parabola, and no bound to be in the way. `domains` as
-    `validity.outside_domains` gives them.
+    `outside_domains` gives them.
     """
     found = [f"{role} views: {one.words}" for role, one in verdicts.items() if one.wrong]
     return found + _at_bounds(problem, np.asarray(x)) + _outside(problem, np.asarray(x), domains)
@@ -92,4 +94,27 @@ def _outside(problem: FitProblem, x: np.ndarray, domains: Mapping[str, Mapping[s
         outside = (1.0 - tau) * shares.get("spm", 0.0) + tau * shares.get("ka", 0.0)
         if outside > OUTSIDE:
             found.append(f"{name} lies outside its model's domain on {100.0 * outside:.0f} % of its lit area")
+    return found
+
+
+def outside_domains(problem: FitProblem, x: np.ndarray) -> dict[str, dict[str, float]]:
+    """By material: the share of its lit area, over all views, that lies outside the domain of each model.
+
+    `spm`: small perturbation, where tau < 1. `ka`: geometric optics, where tau > 0. A model that is not in use is left
+    out. A material with another model than ka_spm has that one's share, under its name.
+    """
+    problem.modelled(x)
+    pieces = [piece for view in problem.views for piece in view.render.pieces()]
+    area = problem.over_views(lit_areas(problem.stage, pieces))  # lit and outside, for SPM and KA
+    surface = problem.surface
+    default = surface.by_default
+    other = np.zeros((default.size, 2)) if default.all() else problem.over_views(model_areas(problem.stage, pieces))
+    found = {}
+    for m, name in enumerate(surface.materials):
+        if default[m]:
+            columns = [(0, "spm"), (1, "ka")]
+            found[name] = {k: float(area[m, c + 2] / area[m, c]) for c, k in columns if area[m, c] > 0}
+        else:
+            lit, outside = other[m]
+            found[name] = {surface.model[m]: float(outside / lit)} if lit > 0 else {}
     return found

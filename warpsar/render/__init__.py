@@ -5,7 +5,6 @@ render: with a view's hits in memory.
 models: sigma0 by the backscatter model of each hit, and learned terms.
 asked: what a launch of sigma0 is recorded for.
 ways: launches of the models that need more than their functions, a file for each.
-crossed_spline: coefficients from which HV of `i2em` is read where a surface varies.
 bands: with hits that are traced again, band by band.
 domains: how much of the lit surface lies outside its model's domain.
 tangents: how images change with the nodes of a surface, in forward mode.

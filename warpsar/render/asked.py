@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import warp as wp
@@ -24,7 +25,6 @@ class ShadeRequest:
     program: Program
     stage: Stage
     hits: Hits
-    wavenumber: float
     polarization: Polarization
     spectrum: wp.array
     zeta: wp.array
@@ -32,14 +32,10 @@ class ShadeRequest:
     more: Sequence[wp.array] = ()
     """Coordinates beyond the first four, vec4 each, where a model of the scene has them"""
 
-    @property
-    def places(self) -> list[wp.array]:
-        """What all kernels read of a hit."""
-        return [self.hits.face, self.stage.face_material, self.hits.cos_incidence, self.hits.cos_twist]
-
-    @property
-    def local(self) -> int:
-        return int(self.stage.local_basis)
+    @cached_property
+    def surfaces(self) -> Any:
+        """The `kernels.HitSurfaces` that all kernels of sigma0 read."""
+        return self.stage.hit_surfaces(self.hits, self.polarization, self.spectrum)
 
 
 @dataclass(frozen=True)

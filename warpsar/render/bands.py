@@ -18,7 +18,7 @@ import warp as wp
 from warpsar.effects.base.effect import DeclaredEffect, Effect
 from warpsar.effects.base.recorder import Recorder
 from warpsar.errors import InputError
-from warpsar.kernels import bands as kernels
+from warpsar.kernels import binning
 from warpsar.kernels.codes import Polarization
 from warpsar.render.render import ViewRender
 from warpsar.render.rendered import COVERED
@@ -156,7 +156,11 @@ class BandedRender:
         for piece in self.pieces():
             for name, light in self.light.items():
                 wp.launch(
-                    kernels.add_kernel, light.size, inputs=[piece.images[name]], outputs=[light], device=light.device
+                    binning.add_kernel,
+                    light.size,
+                    inputs=[light, piece.images[name]],
+                    outputs=[light],
+                    device=light.device,
                 )
 
     def zero_gradients(self) -> None:

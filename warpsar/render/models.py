@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from functools import cache, partial
 from importlib import import_module
 from importlib.util import find_spec
@@ -19,7 +18,6 @@ from warpsar.kernels.scatter import page_kernels, places_of, scatter_kernel
 from warpsar.models.base.model import DEFAULT
 from warpsar.render.asked import ShadeRequest, Way
 from warpsar.runtime.launches import Launch, by_elements
-from warpsar.runtime.program import Program
 from warpsar.surface.stage import Stage
 from warpsar.trace.hits import Hits
 
@@ -99,7 +97,7 @@ def record(asked: ShadeRequest, sigma: wp.array) -> None:
         own = Way(
             scatter_kernel(DEFAULT, False, some=False),
             scatter_kernel(DEFAULT, True, some=False),
-            _inputs(asked, none_of(device)),
+            [none_of(device), asked.surfaces, asked.zeta],
         )
         cut = [hits.face, hits.cos_incidence, hits.cos_twist, hits.cos2_azimuth, zeta, sigma]
         launch(own, n, cut, first)
@@ -126,9 +124,9 @@ def ways_of(asked: ShadeRequest, model: str, mine: wp.array) -> list[Way]:
     fixed = None if asked.program.device.is_cpu else asked.polarization
     kernel, keeping = (scatter_kernel(model, kept, fixed) for kept in (False, True))
     if places_of(model) == PAGE:
-        return [Way(kernel, keeping, _inputs(asked, mine))]
+        return [Way(kernel, keeping, [mine, asked.surfaces, asked.zeta])]
     whole, slopes, also = _joined(asked, mine, places_of(model))
-    inputs = _inputs(replace(asked, zeta=whole), mine)
+    inputs = [mine, asked.surfaces, whole]
     return [Way(kernel, keeping, inputs, also, slopes=slopes, coordinates=whole.dtype)]
 
 
@@ -174,35 +172,15 @@ def _joined(
     return whole, slopes, also
 
 
-def _inputs(asked: ShadeRequest, mine: wp.array) -> list[object]:
-    stage, hits = asked.stage, asked.hits
-    return [
-        mine,
-        int(asked.polarization),
-        stage.variant,
-        asked.wavenumber,
-        asked.local,
-        *asked.places,
-        hits.cos2_azimuth,
-        asked.spectrum,
-        stage.eps_im,
-        stage.aspect,
-        asked.zeta,
-    ]
-
-
-def with_term(
-    program: Program, stage: Stage, hits: Hits, wavenumber: float, polarization: int, zeta: wp.array, sigma: wp.array
-) -> wp.array:
+def with_term(asked: ShadeRequest, sigma: wp.array) -> wp.array:
     """Record the learned terms on `sigma`; without any it is `sigma`."""
-    terms = stage.terms
+    terms = asked.stage.terms
     if terms is None:
         return sigma
-    result = program.array(sigma.shape[0])
+    result = asked.program.array(sigma.shape[0])
     units = [terms.first, terms.inverse_width, terms.places, terms.weights]
-    places = [hits.face, stage.face_material, hits.cos_incidence]
-    inputs = [polarization, math.log(wavenumber), *units, *places, zeta, sigma]
-    program.launch(learned_term.term_kernel, sigma.shape[0], inputs, [result])
+    inputs = [asked.surfaces, math.log(asked.hits.geometry.wavenumber), *units, asked.zeta, sigma]
+    asked.program.launch(learned_term.term_kernel, sigma.shape[0], inputs, [result])
     return result
 
 

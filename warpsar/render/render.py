@@ -303,14 +303,14 @@ class ViewRender:
 
     def scatter(self, zeta: wp.array, polarization: int, spectrum: wp.array | None = None) -> wp.array:
         """Record sigma0 of the hits for coordinates `zeta`; `spectrum` takes the place of the materials' own."""
-        hits, stage, wavenumber = self.shaded, self.stage, self.geometry.wavenumber
+        hits, stage = self.shaded, self.stage
         sigma = self.program.array(hits.count)
         spectra = stage.spectrum if spectrum is None else spectrum
         mesh = any(gathered.zeta is zeta for gathered in self.gathered)
         channel = Polarization(polarization)
-        asked = models.ShadeRequest(self.program, stage, hits, wavenumber, channel, spectra, zeta, mesh, self.more)
+        asked = models.ShadeRequest(self.program, stage, hits, channel, spectra, zeta, mesh, self.more)
         models.record(asked, sigma)
-        return models.with_term(self.program, stage, hits, wavenumber, polarization, zeta, sigma)
+        return models.with_term(asked, sigma)
 
     def set_parameters(self, nodes: np.ndarray | None, effects: Mapping[str, np.ndarray] | None = None) -> None:
         """As `Rendered.set_parameters`."""

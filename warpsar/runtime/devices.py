@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Iterable
+import os
+import sys
+import tempfile
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from functools import cache, partial
 from importlib import import_module
 from itertools import count
@@ -12,12 +16,10 @@ from typing import TYPE_CHECKING
 from warpsar.errors import DeviceError
 from warpsar.runtime.busy import busy
 from warpsar.runtime.distributed.torchrun import number_here
-from warpsar.runtime.driver import no_driver_warning
 from warpsar.runtime.threads import in_threads
 
 if TYPE_CHECKING:
     import warp as wp
-
 
 _KEPT_SHARE = 0.25
 """Of a CUDA device's memory: what a process keeps between views instead of handing it back."""
@@ -88,3 +90,30 @@ def load_kernels(device: wp.Device, *names: str, alone: Iterable[wp.Kernel] = ()
 
         for _ in in_threads([partial(counted, task) for task in load]):
             pass
+
+
+_WARNING = b"Warp CUDA warning: Could not find or load the NVIDIA CUDA driver"
+
+
+@contextmanager
+def no_driver_warning() -> Iterator[None]:
+    """Around `wp.init`. Warp's native library writes the line to stderr itself, and no setting of Warp leaves it out
+    (native/cuda_util.cpp of 1.19): what it writes is held back here, and all but that line is then passed on."""
+    try:
+        sys.stderr.flush()
+        kept = os.dup(2)
+    except (AttributeError, OSError):  # no stderr
+        yield
+        return
+    with tempfile.TemporaryFile() as held:
+        os.dup2(held.fileno(), 2)
+        try:
+            yield
+        finally:
+            sys.stderr.flush()
+            os.dup2(kept, 2)
+            os.close(kept)
+            held.seek(0)
+            for line in held:
+                if not line.startswith(_WARNING):
+                    os.write(2, line)

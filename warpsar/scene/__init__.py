@@ -1,10 +1,9 @@
 """The scene file: read, checked and written.
 
 scene: `Scene`, with load and save. file: the tables, and one message for all that is wrong. loader: the files that it
-names. own_materials: a material for each body of a kind. checks: what must fit together. writer: a scene as text.
-beside: what lies in memory, written to files. new: `warpsar new`; example: its scene for those without a mesh;
-fitted_grid: its pixels. city, footprints: buildings of a real place. schema: `warpsar schema`. placing: objects in a
-scene in memory. unwrap: `warpsar uv`.
+names. checks: what must fit together. writer: a scene as text. beside: what lies in memory, written to files. new:
+`warpsar new`. city, footprints: buildings of a real place. schema: `warpsar schema`. placing: objects in a scene in
+memory. unwrap: `warpsar uv`.
 """
 
 import lazy_loader

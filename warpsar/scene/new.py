@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
+import math
 import os
-from collections.abc import Mapping
+import shutil
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import tomlkit
+from numpy.typing import NDArray
 
 from warpsar.errors import InputError
 from warpsar.io.images import replacing
 from warpsar.io.ply import write_ply
 from warpsar.runtime import console
 from warpsar.scene import city, footprints
-from warpsar.scene.fitted_grid import fitted_grid
 from warpsar.scene.unwrap import write_obj
-from warpsar.world.frame import view_geometry
+from warpsar.world.frame import ViewGeometry, view_geometry
 from warpsar.world.library.names import surface_named
 from warpsar.world.mesh import GLTF, Mesh, read_mesh, unlikely_size
 from warpsar.world.meshes.dem import SUFFIXES as DEM_SUFFIXES
@@ -302,3 +304,61 @@ def _of_sensor(sensor: Sensor, incidence_deg: float) -> list[str]:
     """Its name, and where its numbers stand."""
     lines = [sensor.title, *sensor.source]
     return lines if sensor.incidence_deg else [*lines, _INCIDENCE_NOT_READ.format(incidence_deg=incidence_deg)]
+
+
+EXAMPLE = Path(__file__).parent / "assets" / "example"  # in a checkout a link to data/example
+SCENE = "scene.toml"
+
+
+def copy_example(folder: Path | str, *, force: bool = False) -> Path:
+    """Copy the example scene, its mesh and its material file into `folder`, which is made if missing.
+
+    Returns the path of the scene file. Raises InputError where one of the files is there and `force` is false.
+    """
+    folder = Path(folder)
+    names = sorted(path.name for path in EXAMPLE.iterdir())
+    there = [name for name in names if (folder / name).exists()]
+    if there and not force:
+        raise InputError(f"{folder / there[0]}: found a file there already; --force replaces it")
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in names:
+        shutil.copyfile(EXAMPLE / name, folder / name)
+    return folder / SCENE
+
+
+PIXELS = 512
+"""Pixels along an axis, at most."""
+_MARGIN = 1.05  # a rim of 2.5 % on either side
+_BLOCK = 16  # numbers of pixels are multiples of it
+_ROUND = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
+_SMALLEST_M, _LARGEST_M = 1e-5, 1e5  # what [image].spacing_m allows
+
+
+def fitted_grid(
+    vertices: NDArray[np.float64],
+    reference_m: NDArray[np.float64],
+    looks: Iterable[ViewGeometry],
+    finest_m: float = 0.0,
+) -> Grid:
+    """Square pixels of `finest_m` or more, at most 512 along an axis, about `reference_m` (3,) [m].
+
+    They hold the `vertices` (n, 3) [m] as every plane wave of `looks` sees them, layover included. They also hold the
+    shadows on level ground at the mesh's foot: a point at the height z above it shades up to z / cos(incidence)
+    behind itself in range.
+    """
+    at = vertices - reference_m
+    height = at[:, 2] - at[:, 2].min()
+    reach = np.zeros(2)
+    for look in looks:
+        slant, azimuth = at @ look.d, at @ look.u
+        shadow = slant + height / look.s[2]
+        reach = np.maximum(reach, [max(-slant.min(), shadow.max()), np.abs(azimuth).max()])
+    size = 2.0 * _MARGIN * reach
+    spacing = min(max(_rounded_up(float(size.max()) / PIXELS), _SMALLEST_M, finest_m), _LARGEST_M)
+    rows, columns = (_BLOCK * max(1, math.ceil(each / spacing / _BLOCK)) for each in size)
+    return Grid(shape=(rows, columns), spacing_m=(spacing, spacing))
+
+
+def _rounded_up(value: float) -> float:
+    power = math.floor(math.log10(value))
+    return next(each for step in _ROUND if (each := float(f"{step}e{power}")) >= value)

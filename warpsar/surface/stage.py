@@ -13,7 +13,7 @@ import warp as wp
 from warpsar.kernels.codes import PAGE, Polarization, Variant
 from warpsar.kernels.lane_kernels import at_once
 from warpsar.kernels.scatter import page_kernels, places_of, scatter_kernel
-from warpsar.kernels.shade import NodeMap
+from warpsar.kernels.shade import HitSurfaces, NodeMap
 from warpsar.models import registry
 from warpsar.models.base.model import DEFAULT
 from warpsar.runtime import devices
@@ -22,6 +22,7 @@ from warpsar.surface.surface import Surface
 from warpsar.surface.surface import places_of as stated_places
 from warpsar.surface.tables import Tables
 from warpsar.surface.terms import Terms
+from warpsar.trace.hits import Hits
 from warpsar.trace.target import Target
 from warpsar.world.world import World
 
@@ -86,6 +87,21 @@ class Stage:
     def node_map(self) -> Any:
         """That of the first vector."""
         return self.node_maps[0]
+
+    def hit_surfaces(self, hits: Hits, polarization: int, spectrum: wp.array | None = None) -> Any:
+        """The `kernels.HitSurfaces` of hits; `spectrum`, (materials,) int, takes the place of the materials' own."""
+        return fill(
+            HitSurfaces,
+            polarization=int(polarization),
+            variant=self.variant,
+            wavenumber=hits.geometry.wavenumber,
+            local_basis=int(self.local_basis),
+            face_material=self.face_material,
+            spectrum=self.spectrum if spectrum is None else spectrum,
+            eps_im=self.eps_im,
+            aspect=self.aspect,
+            **{name: getattr(hits, name) for name in ("face", "cos_incidence", "cos_twist", "cos2_azimuth")},
+        )
 
     @cached_property
     def nodes(self) -> wp.array:

@@ -17,7 +17,7 @@ def ways(asked: ShadeRequest, mine: wp.array) -> list[Way]:
     tables = asked.stage.tables
     assert tables is not None
     own_tables = [tables.rows, tables.incidence_deg, tables.sigma0_db]
-    inputs = [mine, int(asked.polarization), asked.local, *asked.places, *own_tables, asked.zeta]
+    inputs = [mine, asked.surfaces, *own_tables, asked.zeta]
     return [Way(facet.scatter_kernel, facet.scatter_kernel, inputs, partial(_to_the_table, inputs), in_lanes=False)]
 
 
