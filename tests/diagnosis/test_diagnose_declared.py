@@ -126,10 +126,10 @@ def test_two_readings_of_one_body_are_one_hypothesis() -> None:
     at_foot = {"position_m": [0.0, 0.0, -0.5]}
     size = GeometryCandidate("object_size", "hut", scene, 100.0, 3)
     sunk = GeometryCandidate("object_pose", "hut", scene, 100.0 + 0.9 * SAME_IMAGES, 4, at_foot)
-    (one,) = _one_reading([sunk], [size])
+    (one,) = _one_reading([sunk, size])
     assert one.kind == "object_size"
     assert "-0.50 m up" in one.words[-1]
     for gain in (100.0 + 1.1 * SAME_IMAGES, 100.0 - 1.1 * SAME_IMAGES):
-        assert _one_reading([replace(sunk, gain=gain)], [size]) == [replace(sunk, gain=gain), size]
-    assert _one_reading([], [size]) == [size]
-    assert _one_reading([sunk], []) == [sunk]
+        assert _one_reading([replace(sunk, gain=gain), size]) == [replace(sunk, gain=gain), size]
+    assert _one_reading([size]) == [size]
+    assert _one_reading([sunk]) == [sunk]
