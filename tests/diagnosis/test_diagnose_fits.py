@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from learning_scenes import cube_scene, measured, views_at
 
+from warpsar.diagnosis.dark.evidence import Dark, worth_a_refit
 from warpsar.diagnosis.found import Candidate, Turn
 from warpsar.diagnosis.models.carried import Carried, carried_over
 from warpsar.diagnosis.models.fit_setup import FitSetup
@@ -419,3 +420,19 @@ def test_candidates_far_below_the_best_wait() -> None:
     assert [[one.effect for one in some] for some in by_rank(found)] == [["a", "b"], ["c"]]
     assert by_rank(found[:1]) == [found[:1]]
     assert by_rank([]) == [[]]
+
+
+def test_dark_pixels_test_a_floor_that_the_surface_can_imitate() -> None:
+    """Lit pixels cannot tell a floor from the surface here. Power in most dark pixels can; zeros in them rule it out."""
+
+    def offered(positive: int) -> list[str]:
+        floor, ghost = Candidate("noise_floor", "not_testable"), Candidate("azimuth_ambiguity", "testable")
+        found = worth_a_refit([floor, ghost], 7.0, Dark(100, positive, unexplained=80))
+        assert all(one.testability == "testable" and one.statistic == one.statistic for one in found if one is floor)
+        return [one.effect for one in found]
+
+    assert offered(100) == ["noise_floor", "azimuth_ambiguity"]
+    assert offered(90) == ["azimuth_ambiguity"]
+    quiet = Candidate("noise_floor", "not_testable")
+    assert worth_a_refit([quiet], 7.0, Dark(100, 100)) == []
+    assert quiet.testability == "not_testable"
