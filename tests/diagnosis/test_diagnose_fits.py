@@ -423,7 +423,7 @@ def test_candidates_far_below_the_best_wait() -> None:
 
 
 def test_dark_pixels_test_a_floor_that_the_surface_can_imitate() -> None:
-    """Lit pixels cannot tell a floor from the surface here. Power in most dark pixels can; zeros in them rule it out."""
+    """Lit pixels cannot tell a floor from the surface here. Power in most dark pixels can; zeros there rule it out."""
 
     def offered(positive: int) -> list[str]:
         floor, ghost = Candidate("noise_floor", "not_testable"), Candidate("azimuth_ambiguity", "testable")
