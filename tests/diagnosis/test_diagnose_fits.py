@@ -19,7 +19,7 @@ from warpsar.diagnosis.models.refit import BOUND, Fitted, fit_model, on_bounded_
 from warpsar.diagnosis.scores.templates import with_effect
 from warpsar.diagnosis.search.confirmation import confirm
 from warpsar.diagnosis.turn.addition import TOO_LITTLE
-from warpsar.diagnosis.turn.pruning import prune, with_smaller
+from warpsar.diagnosis.turn.pruning import prune, resettled, with_smaller
 from warpsar.diagnosis.turn.screening import GLANCE, Screening
 from warpsar.diagnosis.turn.shortlist import by_rank
 from warpsar.diagnosis.turn.survey import surveyed
@@ -198,6 +198,18 @@ def test_what_the_newest_effect_makes_needless_is_dropped(
     turn.fitted = fitted_to(setup, scene, {"point_spread": BLUR, "registration": SHIFT})
     prune(setup, turn, ["point_spread"], np.log(1e4))
     assert turn.dropped == []
+
+
+@pytest.mark.full
+def test_a_reading_that_was_taken_while_others_were_missing_is_asked_again(tmp_path: Path) -> None:
+    """A blur hides how bounces end; beside it the images tell. The right reading stays."""
+    lobe = {"strength": 1.0, "reflection": "lobe"}
+    setup, scene = bench_of({"multibounce": lobe, "point_spread": BLUR}, tmp_path)
+    wrong, right = ({"multibounce": {**lobe, "reflection": one}, "point_spread": BLUR} for one in ("roughness", "lobe"))
+    for begun in (wrong, right):
+        found = resettled(setup, fitted_to(setup, scene, begun), ["multibounce"]).scene.effects["multibounce"]
+        assert found["reflection"] == "lobe"
+        assert found["strength"] == pytest.approx(1.0, rel=0.3)
 
 
 def test_power_that_another_effect_adds_as_well_is_dropped(tmp_path_factory: pytest.TempPathFactory) -> None:

@@ -254,6 +254,8 @@ class Search:
                 setup = with_all_anew(setup, turn, self.scene)
             if turn.fitted is not None:
                 prune(setup, turn, self._effects(here), price)
+                paths = [name for name in self._effects(here) if name in turn.fitted.scene.effects]
+                turn.fitted = resettled(setup, turn.fitted, [name for name in paths if get(name).follows_rays])
         return turn
 
     def _scored(self) -> tuple[Turn, FitSetup, Fitted, Evidence, dict[str, list[Template]]]:
