@@ -231,18 +231,19 @@ def couple_kernel(
     cells: ResolutionCells,
     # Out:
     field_out: wp.array2d(dtype=wp.vec2d),
+    loose_out: wp.array2d(dtype=wp.float64),
 ):
     """The field that each group of tubes adds to each of the samples about its bin, shape (groups, offsets).
 
-    A thread has a group: it reads the responses of a tube once for all samples in a row and in a column.
+    A thread has a group: it reads the responses of a tube once for all samples in a row and in a column. Both arrays
+    begin with zeros. `loose_out`, (groups, offsets) or (0, 0): sums of the squares of what each tube adds [m2], as if
+    these had no phase in common.
     """
     i = wp.tid()
     end = order.shape[0]
     if i + 1 < first.shape[0]:
         end = first[i + 1]
     base = cell_of(cells, bin[i])
-    for j in range(cells.offset.shape[0]):
-        field_out[i, j] = wp.vec2d()
     across = along_an_axis()
     across_slope = along_an_axis()
     for k in range(first[i], end):
@@ -256,6 +257,7 @@ def couple_kernel(
         row = int(-NEAR)
         straight = wp.vec2d()
         aside = wp.vec2d()
+        power = wp.float64(0.0)
         for j in range(cells.offset.shape[0]):
             offset = cells.offset[j]
             if offset[0] != row:  # offsets of a row lie together
@@ -263,33 +265,8 @@ def couple_kernel(
                 response = read(cells.response, 0, x - wp.float64(row))
                 straight = response[0] * tubes.field[at] + response[1] * tubes.by_range[at]
                 aside = response[0] * tubes.by_azimuth[at]
+                power = response[0] * response[0] * wp.length_sq(tubes.field[at])
             n = offset[1] + NEAR - 1
             field_out[i, j] = field_out[i, j] + across[n] * straight + across_slope[n] * aside
-
-
-@wp.kernel(enable_backward=False)
-def loosen_kernel(
-    # In:
-    tubes: TubeFields,
-    order: wp.array(dtype=int),
-    first: wp.array(dtype=int),
-    bin: wp.array(dtype=int),
-    cells: ResolutionCells,
-    # Out:
-    loose_out: wp.array2d(dtype=wp.float32),
-):
-    """The sum of the squares of what each tube of a group adds to a sample [m2], as if they had no phase in common."""
-    i = wp.tid()
-    end = order.shape[0]
-    if i + 1 < first.shape[0]:
-        end = first[i + 1]
-    base = cell_of(cells, bin[i])
-    for j in range(cells.offset.shape[0]):
-        offset = cells.offset[j]
-        total = wp.float64(0.0)
-        for k in range(first[i], end):
-            at = order[k]
-            along = read(cells.response, 0, tubes.place[at][0] - wp.float64(base[0] + offset[0]))[0]
-            across = read(cells.response, 1, tubes.place[at][1] - wp.float64(base[1] + offset[1]))[0]
-            total += along * along * across * across * wp.length_sq(tubes.field[at])
-        loose_out[i, j] = wp.float32(total)
+            if loose_out.shape[0] > 0:
+                loose_out[i, j] = loose_out[i, j] + across[n] * across[n] * power

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from learning_scenes import cube_scene, measured, views_at
 
+from warpsar.diagnosis.dark.evidence import Dark, worth_a_refit
 from warpsar.diagnosis.found import Candidate, Turn
 from warpsar.diagnosis.models.carried import Carried, carried_over
 from warpsar.diagnosis.models.fit_setup import FitSetup
@@ -18,7 +19,7 @@ from warpsar.diagnosis.models.refit import BOUND, Fitted, fit_model, on_bounded_
 from warpsar.diagnosis.scores.templates import with_effect
 from warpsar.diagnosis.search.confirmation import confirm
 from warpsar.diagnosis.turn.addition import TOO_LITTLE
-from warpsar.diagnosis.turn.pruning import prune, with_smaller
+from warpsar.diagnosis.turn.pruning import prune, resettled, with_smaller
 from warpsar.diagnosis.turn.screening import GLANCE, Screening
 from warpsar.diagnosis.turn.shortlist import by_rank
 from warpsar.diagnosis.turn.survey import surveyed
@@ -197,6 +198,18 @@ def test_what_the_newest_effect_makes_needless_is_dropped(
     turn.fitted = fitted_to(setup, scene, {"point_spread": BLUR, "registration": SHIFT})
     prune(setup, turn, ["point_spread"], np.log(1e4))
     assert turn.dropped == []
+
+
+@pytest.mark.full
+def test_a_reading_that_was_taken_while_others_were_missing_is_asked_again(tmp_path: Path) -> None:
+    """A blur hides how bounces end; beside it the images tell. The right reading stays."""
+    lobe = {"strength": 1.0, "reflection": "lobe"}
+    setup, scene = bench_of({"multibounce": lobe, "point_spread": BLUR}, tmp_path)
+    wrong, right = ({"multibounce": {**lobe, "reflection": one}, "point_spread": BLUR} for one in ("roughness", "lobe"))
+    for begun in (wrong, right):
+        found = resettled(setup, fitted_to(setup, scene, begun), ["multibounce"]).scene.effects["multibounce"]
+        assert found["reflection"] == "lobe"
+        assert found["strength"] == pytest.approx(1.0, rel=0.3)
 
 
 def test_power_that_another_effect_adds_as_well_is_dropped(tmp_path_factory: pytest.TempPathFactory) -> None:
@@ -419,3 +432,19 @@ def test_candidates_far_below_the_best_wait() -> None:
     assert [[one.effect for one in some] for some in by_rank(found)] == [["a", "b"], ["c"]]
     assert by_rank(found[:1]) == [found[:1]]
     assert by_rank([]) == [[]]
+
+
+def test_dark_pixels_test_a_floor_that_the_surface_can_imitate() -> None:
+    """Lit pixels cannot tell a floor from the surface here. Power in most dark pixels can; zeros there rule it out."""
+
+    def offered(positive: int) -> list[str]:
+        floor, ghost = Candidate("noise_floor", "not_testable"), Candidate("azimuth_ambiguity", "testable")
+        found = worth_a_refit([floor, ghost], 7.0, Dark(100, positive, unexplained=80))
+        assert all(one.testability == "testable" and one.statistic == one.statistic for one in found if one is floor)
+        return [one.effect for one in found]
+
+    assert offered(100) == ["noise_floor", "azimuth_ambiguity"]
+    assert offered(90) == ["azimuth_ambiguity"]
+    quiet = Candidate("noise_floor", "not_testable")
+    assert worth_a_refit([quiet], 7.0, Dark(100, 100)) == []
+    assert quiet.testability == "not_testable"

@@ -74,8 +74,8 @@ class Dark:
 def worth_a_refit(candidates: Sequence[Candidate], threshold: float, dark: Dark) -> list[Candidate]:
     """Candidates worth a refit, best first.
 
-    Power in the dark needs an effect that puts it there, whatever the lit pixels say. A floor is ruled out where many
-    dark pixels measure exactly 0.
+    Power in the dark needs an effect that puts it there, whatever the lit pixels say, and though the surface can
+    imitate it there: dark pixels test it by themselves. A floor is ruled out where many of them measure exactly 0.
     """
     order = sorted(candidates, key=lambda c: -c.minus_log_p)
     found = [c for c in order if c.testability == "testable" and c.minus_log_p > threshold]
@@ -84,10 +84,13 @@ def worth_a_refit(candidates: Sequence[Candidate], threshold: float, dark: Dark)
             if get(candidate.effect).is_floor:
                 candidate.refused = f"{dark.pixels - dark.positive} of {dark.pixels} dark pixels measure exactly 0"
                 candidate.note = candidate.refused
-        found = [c for c in found if not get(c.effect).is_floor]
+        order, found = ([c for c in some if not get(c.effect).is_floor] for some in (order, found))
     if dark.asks:
-        able = [c for c in order if c.testability == "testable" and dark.answered_by(c.effect)]
+        tested = {"testable", "not_testable"} if dark.everywhere else {"testable"}
+        able = [c for c in order if c.testability in tested and dark.answered_by(c.effect)]
         for candidate in able:
+            if candidate.testability == "not_testable":
+                candidate.testability, candidate.statistic = "testable", 0.0
             candidate.note = f"{dark.unexplained} of {dark.pixels} dark pixels measure power that the model has not"
         found = able + [c for c in found if c not in able]
     return found

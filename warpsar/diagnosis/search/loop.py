@@ -254,6 +254,8 @@ class Search:
                 setup = with_all_anew(setup, turn, self.scene)
             if turn.fitted is not None:
                 prune(setup, turn, self._effects(here), price)
+                paths = [name for name in self._effects(here) if name in turn.fitted.scene.effects]
+                turn.fitted = resettled(setup, turn.fitted, [name for name in paths if get(name).follows_rays])
         return turn
 
     def _scored(self) -> tuple[Turn, FitSetup, Fitted, Evidence, dict[str, list[Template]]]:
@@ -381,14 +383,20 @@ def needed(without: Fitted, name: str) -> bool:
 
 def _beside_geometry(allowed: Sequence[Candidate], foretold: float, shifts: float) -> list[Candidate]:
     """The effects that are fitted in a turn in which a change of geometry is `foretold` far more: the likeliest ones,
-    as a score is no gain and may be far below it, and those that shift images, if `shifts` may gain as much."""
+    as a score is no gain and may be far below it, and those that shift images, if `shifts` may gain as much.
+
+    Paths over several surfaces may be a thousand times the model's power. A score bounds what a pixel tells, so theirs
+    is the farthest below their gain, and what they put into an image looks like a body of another size.
+    """
     near = NEAR_BEST * max((c.minus_log_p for c in allowed), default=0.0)
     found = []
     for candidate in allowed:
-        if get(candidate.effect).stage == "position":
+        effect = get(candidate.effect)
+        if effect.stage == "position":
             worth = shifts >= NEAR_BEST * foretold
         else:
-            worth = candidate.minus_log_p >= near and candidate.statistic >= FAR_BELOW * 2.0 * foretold
+            enough = effect.follows_rays or candidate.statistic >= FAR_BELOW * 2.0 * foretold
+            worth = enough and candidate.minus_log_p >= near
         found += [candidate] if worth else []
     return found
 

@@ -13,7 +13,9 @@ from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.refit import Fitted, refit_as, refit_without
 from warpsar.diagnosis.scores.templates import with_effect
 from warpsar.diagnosis.turn.screening import WORTH
+from warpsar.effects.base.trial import Context
 from warpsar.effects.registry import get
+from warpsar.scene.scene import Scene
 
 
 def prune(setup: FitSetup, turn: Turn, earlier: Sequence[str], price: float) -> None:
@@ -84,21 +86,23 @@ def resettled(setup: FitSetup, fitted: Fitted, added: Sequence[str]) -> Fitted:
     each. What the scene file declares stays.
 
     A setting was chosen when the effect was added, while others were still missing: the window of a blur has hardly
-    another shape than what they leave. Asked again at the end, the choice does not depend on the order. Only effects of
-    the image are asked: what was rendered stays as it is, so that it costs little.
+    another shape than what they leave. Asked again, the choice does not depend on the order. Effects of the image are
+    asked for all their settings, since what was rendered stays as it is; others for what their trials differ by.
     """
-    for name in (one for one in added if get(one).stage == "image"):
-        for table in _other_settings(name, fitted.scene.effects[name]):
+    for name in added:
+        for table in _other_settings(fitted.scene, name):
             trial = refit_as(setup, replace(fitted.scene, effects={**fitted.scene.effects, name: table}))
             if trial.log_likelihood > fitted.log_likelihood + WORTH:
                 fitted = trial
     return fitted
 
 
-def _other_settings(name: str, table: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    """The table with each other value of each setting that has a few."""
-    for setting in get(name).settings:
-        now = table.get(setting.name, setting.default)
-        for value in setting.schema.get("enum", []):
-            if value != now:
+def _other_settings(scene: Scene, name: str) -> Iterator[dict[str, Any]]:
+    """The effect's table with each other value of each setting that has a few."""
+    effect, table = get(name), scene.effects[name]
+    tried = [trial.starts[0] for trial in effect.trials(Context(scene, 1.0))] if effect.follows_rays else []
+    for setting in effect.settings if effect.stage == "image" or tried else ():
+        values = dict.fromkeys(start.get(setting.name) for start in tried) if tried else setting.schema.get("enum", [])
+        for value in values:
+            if value not in (None, table.get(setting.name, setting.default)):
                 yield {**table, setting.name: value}

@@ -38,7 +38,8 @@ def score_effects(
     progress: Callable[[int], object],
 ) -> tuple[Turn, dict[str, list[Template]]]:
     """The turn with the score of every effect that is not declared and of the scan, and each effect's templates, best
-    first. `scene` is the declared one, `base` the model that `evidence` was taken at; `number` counts turns from 0."""
+    first; those of an effect that adds power also where lit pixels do not test it, as dark ones may. `scene` is the
+    declared one, `base` the model that `evidence` was taken at; `number` counts turns from 0."""
     projection, evidence, found = once.agree(
         lambda: _grouped(scene, setup, other_rays, base, evidence, options.seed + number)
     )
@@ -58,7 +59,8 @@ def score_effects(
     dark = scan_dark(setup, other_rays, base, evidence, options.seed + number)
     if dark is not None:
         boot = boot.with_another(options.seed + number)
-    best = _score(candidates, groups, projection, residual, boot)
+    best = {name: [t for one in found[name] for t in one.templates] for name in found if get(name).additive}
+    best |= _score(candidates, groups, projection, residual, boot)
     bar_those_alone(list(candidates.values()), boot.threshold(options.family_error))
     scanned = float(boot.tails["scan"](abs(spot.z)))
     turn = Turn(

@@ -166,14 +166,13 @@ def couple(
     wp.launch(
         kernels.tube_kernel, count, inputs=[rays, mesh, records, cells, wavenumber], outputs=[tubes], device=device
     )
-    groups = first.shape[0]
-    field: wp.array = wp.empty((groups, cells.offset.shape[0]), dtype=wp.vec2d, device=device)
+    shape = first.shape[0], cells.offset.shape[0]
+    field: wp.array = wp.zeros(shape, dtype=wp.vec2d, device=device)
+    loose: wp.array = wp.zeros(shape if loosely else (0, 0), dtype=wp.float64, device=device)
     inputs = [tubes, order, first, merged.bin, cells]
-    wp.launch(kernels.couple_kernel, groups, inputs=inputs, outputs=[field], device=device)
-    loose: wp.array = wp.zeros(field.shape, dtype=float, device=device)
-    if loosely:
-        wp.launch(kernels.loosen_kernel, groups, inputs=inputs, outputs=[loose], device=device)
-    return field.numpy().astype(np.float32).view(np.complex64)[..., 0], loose.numpy()
+    wp.launch(kernels.couple_kernel, shape[0], inputs=inputs, outputs=[field, loose], device=device)
+    squares = loose.numpy().astype(np.float32) if loosely else np.zeros(shape, np.float32)
+    return field.numpy().astype(np.float32).view(np.complex64)[..., 0], squares
 
 
 def kinds_of(normal: NDArray[np.float64], other: NDArray[Any]) -> NDArray[np.int64]:
