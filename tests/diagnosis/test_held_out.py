@@ -14,7 +14,7 @@ from warpsar.diagnosis.held_out.arcs import folds
 from warpsar.diagnosis.held_out.box import as_box
 from warpsar.diagnosis.held_out.geometry import WIDE, likeliest, minimum, numbers, profiled
 from warpsar.diagnosis.held_out.kept import scene_content, scene_of
-from warpsar.diagnosis.held_out.search import GEOMETRY, FoldSearch, held_out
+from warpsar.diagnosis.held_out.search import GEOMETRY, RIVALS, FoldSearch, held_out
 from warpsar.diagnosis.run_log import RunLog, open_run_log
 from warpsar.errors import InputError
 from warpsar.measured.chips import import_chips
@@ -184,7 +184,7 @@ def test_a_body_as_a_box_stands_where_it_stood(tmp_path: Path) -> None:
     path = tmp_path / "scene.toml"
     path.write_text(text + "position_m = [3.0, -2.0, 0.0]\nheading_deg = 30.0\nroll_deg = 4.0\n" + views(2))
     scene = Scene.load(path)
-    boxed = as_box(scene, "body")
+    boxed = as_box(scene, ["body"])
     one = boxed.objects[1]
     assert one.size_m == pytest.approx((6.0, 2.0, 1.0))
     assert one.material == "metal"
@@ -254,9 +254,8 @@ def test_a_mesh_that_says_no_more_than_a_box_is_not_this_body(tmp_path: Path) ->
         search = FoldSearch(
             Scene(**{**_fields(declared), "views": seen}), devices.resolve_device("cpu"), 2, lambda: None
         )
-        model = search._surely_fitted([search.start] * 2)
-        boxed = search._boxed(model)
-        assert boxed is not None
+        model = search._model = search._surely_fitted([search.start] * 2)
+        boxed = search._boxed()
         lead = advantage(search._images({"model": model.scenes, "box": boxed.scenes}), rivals=("box",))
         assert lead is not None
         ahead[name] = lead.ahead
@@ -267,7 +266,8 @@ def test_a_mesh_that_says_no_more_than_a_box_is_not_this_body(tmp_path: Path) ->
 @pytest.mark.full
 def test_time_that_is_over_leaves_the_first_model(tmp_path: Path) -> None:
     late = held_out(measured(tmp_path), devices.resolve_device("cpu"), 2, time_limit_s=0.0)
-    assert late.not_asked == ["whether another effect is missing"]
+    assert late.not_asked == ["whether another effect is missing", RIVALS]
+    assert not late.ahead
     assert late.before == late.after
 
 
