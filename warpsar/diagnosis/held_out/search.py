@@ -13,6 +13,7 @@ answer.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -199,10 +200,11 @@ class FoldSearch:
 
     def run(self) -> HeldOut:
         """Fit, try, fit again; until the time is over: then what was found so far stands."""
+        started, limit_s = time.monotonic(), self._time_limit_s
         first = self._model = self._surely_fitted([self.start] * len(self.folds))
         console.say(f"as declared: deviance of views left out {first.scores.mean() / EXPECTED:.3f}")
         try:
-            with deadline(self._time_limit_s):
+            with deadline(None if limit_s is None else max(limit_s - (time.monotonic() - started), 0.0)):
                 self._search()
         except TimeUp:
             unmet = [RIVALS] if self.bodies and self._met is None else []
