@@ -60,6 +60,7 @@ MATTERS = 0.05  # gain of a trial from which on sizes and angles are moved besid
 GEOMETRY = "sizes and angles"
 TOLD = 2.0  # standard errors by which a body predicts better than turned round, where its front is told
 EXPLAINED = 2.0  # standard errors above the deviance of speckle, within which nothing else is left
+BOXED = "a box of its size"
 RIVALS = "whether the body turned round, or a box of its size, predicts as well"
 
 
@@ -500,6 +501,9 @@ class FoldSearch:
             self._ask_front(label)
         self._rivals[BOX] = self._boxed()
         self._met = self._model
+        gain, error = _mean_and_error(self._met.scores - self._rivals[BOX].scores)
+        self.steps.append(TrialStep(BOXED, gain / EXPECTED, error / EXPECTED, 0.0, False))
+        self._say()
 
     def _ask_front(self, label: str) -> None:
         """Turn a body round where that predicts better; once it is told where its front is, it is not asked again."""
