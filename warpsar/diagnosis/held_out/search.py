@@ -59,6 +59,7 @@ PAYS = 2.0  # standard errors that an effect is worth at the end
 MATTERS = 0.05  # gain of a trial from which on sizes and angles are moved beside it; after smaller ones, at the end
 GEOMETRY = "sizes and angles"
 TOLD = 2.0  # standard errors by which a body predicts better than turned round, where its front is told
+CERTAIN = 4.0  # standard errors from which on it is not asked again
 EXPLAINED = 2.0  # standard errors above the deviance of speckle, within which nothing else is left
 BOXED = "a box of its size"
 RIVALS = "whether the body turned round, or a box of its size, predicts as well"
@@ -245,13 +246,16 @@ class FoldSearch:
             self._model, pending = found, True
             if self.steps[-1].gain > MATTERS:
                 offsets, pending = self._geometry(offsets), False
+                self._ask_fronts()
                 if self._met is None:
-                    self._meet_rivals()
+                    self._meet_box()
         if pending:
             self._geometry(offsets)
+            self._ask_fronts()
         self._doing = "what each effect is worth at the end"
         self._model = self._asked_again(self._model)
-        self._meet_rivals()
+        if self._met is not self._model:
+            self._meet_box()
 
     def _images(self, models: Mapping[str, Sequence[Scene]]) -> list[PredictedImage]:
         """The views left out beside what models that have not seen them predict, and beside the rivals."""
@@ -492,33 +496,33 @@ class FoldSearch:
             self._progress()
         return now, profiles
 
-    def _meet_rivals(self) -> None:
-        """Hold the model against every body turned round, where its front is not told yet, and against boxes."""
-        if not self.bodies or self._met is self._model:
-            return
+    def _ask_fronts(self) -> None:
+        """Turn bodies round where that predicts better. One whose front is certain is not asked again."""
         self._doing = RIVALS
         for label in turnable(self.start):
-            self._ask_front(label)
+            name, before = f"{label} {TURNED}", self._fronts.get(label)
+            if before is not None and abs(before.gain) > CERTAIN * before.error:
+                continue
+            rival, profiles = self._rival(name, partial(turned, label=label))
+            model = self._model
+            stays = self._judged(name, model, rival.scores)
+            step = self.steps[-1]
+            if stays:
+                self._rivals[name], self._model = model, rival
+                self.profiles |= profiles
+                step = replace(step, gain=-step.gain)
+            self._fronts[label] = step
+
+    def _meet_box(self) -> None:
+        """Hold the model against itself with every body as a box."""
+        if not self.bodies:
+            return
+        self._doing = RIVALS
         self._rivals[BOX] = self._boxed()
         self._met = self._model
         gain, error = _mean_and_error(self._met.scores - self._rivals[BOX].scores)
         self.steps.append(TrialStep(BOXED, gain / EXPECTED, error / EXPECTED, 0.0, False))
         self._say()
-
-    def _ask_front(self, label: str) -> None:
-        """Turn a body round where that predicts better; once it is told where its front is, it is not asked again."""
-        name, before = f"{label} {TURNED}", self._fronts.get(label)
-        if before is not None and abs(before.gain) > TOLD * before.error:
-            return
-        rival, profiles = self._rival(name, lambda scene: turned(scene, label))
-        model = self._model
-        stays = self._judged(name, model, rival.scores)
-        step = self.steps[-1]
-        if stays:
-            self._rivals[name], self._model = model, rival
-            self.profiles |= profiles
-            step = replace(step, gain=-step.gain)
-        self._fronts[label] = step
 
     def _boxed(self) -> Model:
         """The rival that has every body as a box of its size. Bodies that are boxes are their own rivals."""
