@@ -33,7 +33,7 @@ def sentence(found: HeldOut) -> str:
     said = f"found: {names}; deviance of views left out {before:.3f} -> {after:.3f}"
     if found.not_asked:
         said += "; the time was over before all was asked"
-    fronts = [front_words(label, step) for label, step in found.fronts.items() if not _told(step)]
+    fronts = [front_words(label, step) for label, step in found.fronts.items() if not _is_known(step)]
     return "; ".join([said, *([_of_body(found)] if found.advantages else []), *fronts])
 
 
@@ -51,14 +51,14 @@ def _of_body(found: HeldOut) -> str:
     return "predicts better than pictures of other views; a box does as well, and nothing but speckle is left"
 
 
-def _told(step: TrialStep) -> bool:
+def _is_known(step: TrialStep) -> bool:
     return -step.gain > TOLD * step.error
 
 
 def front_words(label: str, step: TrialStep) -> str:
     """What a body turned round says of its front."""
     said = f"turned round, {label} changes the deviance of views left out by {-step.gain:+.3f} +- {step.error:.3f}"
-    return said if _told(step) else f"which end of {label} is its front is not told ({said})"
+    return said if _is_known(step) else f"which end of {label} is its front is not told ({said})"
 
 
 def judgement(found: HeldOut) -> list[str]:
