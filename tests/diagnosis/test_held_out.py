@@ -1,6 +1,7 @@
 """`warpsar diagnose --folds`: what stays is what views say that were left out."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,16 +10,18 @@ from click.testing import CliRunner
 
 from warpsar import Scene, simulate
 from warpsar.cli.main import main
-from warpsar.compare.prediction import advantage, predictions, summaries
+from warpsar.compare.prediction import Agreement, PredictedImage, advantage, predictions, summaries
 from warpsar.diagnosis.held_out.arcs import folds
 from warpsar.diagnosis.held_out.box import as_box
-from warpsar.diagnosis.held_out.geometry import WIDE, likeliest, minimum, numbers, profiled
+from warpsar.diagnosis.held_out.geometry import TURNED, WIDE, likeliest, minimum, numbers, profiled
 from warpsar.diagnosis.held_out.kept import scene_content, scene_of
-from warpsar.diagnosis.held_out.search import GEOMETRY, FoldSearch, held_out
+from warpsar.diagnosis.held_out.report import judgement, sentence
+from warpsar.diagnosis.held_out.search import GEOMETRY, RIVALS, FoldSearch, HeldOut, TrialStep, held_out
 from warpsar.diagnosis.run_log import RunLog, open_run_log
 from warpsar.errors import InputError
 from warpsar.measured.chips import import_chips
 from warpsar.runtime import devices
+from warpsar.scene.placing import with_objects
 from warpsar.world.mesh import Mesh
 from warpsar.world.obj import write_obj
 from warpsar.world.objects.shapes import body
@@ -184,7 +187,7 @@ def test_a_body_as_a_box_stands_where_it_stood(tmp_path: Path) -> None:
     path = tmp_path / "scene.toml"
     path.write_text(text + "position_m = [3.0, -2.0, 0.0]\nheading_deg = 30.0\nroll_deg = 4.0\n" + views(2))
     scene = Scene.load(path)
-    boxed = as_box(scene, "body")
+    boxed = as_box(scene, ["body"])
     one = boxed.objects[1]
     assert one.size_m == pytest.approx((6.0, 2.0, 1.0))
     assert one.material == "metal"
@@ -225,38 +228,40 @@ def test_a_floor_and_a_height_are_found(tmp_path: Path) -> None:
     assert again.final.effects == found.final.effects
 
 
+def of_a_truck(folder: Path, name: str, heading_deg: float = 0.0) -> FoldSearch:
+    """A search, fitted as declared, of twelve views of one look of a truck 6 m long, whose declared body is a mesh: of
+    the truck itself, or of a box."""
+    truck = Object(primitive="truck", size_m=(6.0, 2.5, 2.6), cabin=0.4, material="metal")
+    for kind, one in {"truck": truck, "box": truck.model_copy(update={"primitive": "box", "cabin": None})}.items():
+        made = body(one)
+        write_obj(folder / f"{kind}.obj", Mesh(made.vertices, made.faces, np.zeros(len(made.faces), np.int32)))
+    scenes = {}
+    for kind in dict.fromkeys(("truck", name)):
+        text = SCENE.replace('primitive = "box"', f'mesh = "{kind}.obj"').replace("size_m = [5.0, 2.5, 2.0]\n", "")
+        text = text.replace('learn = ["size"]', 'learn = ["scale", "heading"]')
+        (folder / "scene.toml").write_text(text.replace("tolerance = { size_m", "tolerance = { scale") + views(12))
+        scenes[kind] = Scene.load(folder / "scene.toml")
+    random, seen = np.random.default_rng(1), []
+    for view, image in zip(scenes[name].views, simulate(scenes["truck"], device="cpu", seed=5), strict=True):
+        power = image.beta0["HH"] * random.gamma(1.0, 1.0, image.beta0["HH"].shape)
+        stated = view.model_dump(by_alias=True, exclude_unset=True)
+        seen.append(View.model_validate({**stated, "images": {"HH": power.astype(np.float32)}, "looks": 1.0}))
+    declared = Scene(**{**_fields(scenes[name]), "views": seen})
+    ground, one = declared.objects
+    declared = with_objects(declared, [ground, one.model_copy(update={"heading_deg": heading_deg})])
+    search = FoldSearch(declared, devices.resolve_device("cpu"), 2, lambda: None)
+    search._model = search._surely_fitted([search.start] * 2)
+    return search
+
+
 @pytest.mark.full
 def test_a_mesh_that_says_no_more_than_a_box_is_not_this_body(tmp_path: Path) -> None:
-    """Views of a truck 6 m long: its own mesh predicts those left out better than a box of its size does, and a mesh of
-    a box does not."""
-    truck = Object(primitive="truck", size_m=(6.0, 2.5, 2.6), cabin=0.4, material="metal")
+    """Of a truck, its own mesh predicts the views left out better than a box of its size does, and a mesh of a box does
+    not."""
     ahead = {}
-    for name, one in {"truck": truck, "box": truck.model_copy(update={"primitive": "box", "cabin": None})}.items():
-        made = body(one)
-        write_obj(tmp_path / f"{name}.obj", Mesh(made.vertices, made.faces, np.zeros(len(made.faces), np.int32)))
-        text = SCENE.replace('primitive = "box"', f'mesh = "{name}.obj"').replace("size_m = [5.0, 2.5, 2.0]\n", "")
-        text = text.replace('learn = ["size"]', 'learn = ["scale", "heading"]')
-        (tmp_path / "scene.toml").write_text(text.replace("tolerance = { size_m", "tolerance = { scale") + views(12))
-        declared = Scene.load(tmp_path / "scene.toml")
-        if name == "truck":
-            powers = [image.beta0["HH"] for image in simulate(declared, device="cpu", seed=5)]
-        random = np.random.default_rng(1)
-        seen = [
-            View.model_validate(
-                {
-                    **view.model_dump(by_alias=True, exclude_unset=True),
-                    "images": {"HH": (power * random.gamma(1.0, 1.0, power.shape)).astype(np.float32)},
-                    "looks": 1.0,
-                }
-            )
-            for view, power in zip(declared.views, powers, strict=True)
-        ]
-        search = FoldSearch(
-            Scene(**{**_fields(declared), "views": seen}), devices.resolve_device("cpu"), 2, lambda: None
-        )
-        model = search._surely_fitted([search.start] * 2)
-        boxed = search._boxed(model)
-        assert boxed is not None
+    for name in ("truck", "box"):
+        search = of_a_truck(tmp_path, name)
+        model, boxed = search._model, search._boxed()
         lead = advantage(search._images({"model": model.scenes, "box": boxed.scenes}), rivals=("box",))
         assert lead is not None
         ahead[name] = lead.ahead
@@ -265,9 +270,90 @@ def test_a_mesh_that_says_no_more_than_a_box_is_not_this_body(tmp_path: Path) ->
 
 
 @pytest.mark.full
+def test_a_body_turned_round_meets_its_turned_rival(tmp_path: Path) -> None:
+    """A truck that is declared the wrong way round is turned, and its front is told; it is not asked again."""
+    search = of_a_truck(tmp_path, "truck", heading_deg=180.0)
+    search._ask_fronts()
+    assert search.held == [f"body {TURNED}"]
+    assert [scene.objects[1].heading_deg % 360.0 for scene in search._model.scenes] == [0.0, 0.0]
+    front = search._fronts["body"]
+    assert front.gain < -4.0 * front.error  # of what is now the rival
+    tried = len(search.steps)
+    search._ask_fronts()
+    assert len(search.steps) == tried
+
+
+def held(
+    beside: dict[str, tuple[float, float]],
+    after: float,
+    *,
+    rivals: bool = True,
+    fronts: dict[str, TrialStep] | None = None,
+) -> HeldOut:
+    """An outcome with predictions of ten views by name: correlation and deviance; `after` is the score of the model."""
+    scatter = np.linspace(-0.01, 0.01, 10)
+    view = View(name="v", azimuth_deg=0.0, incidence_deg=60.0)
+    images = [
+        PredictedImage(
+            view,
+            "HH",
+            True,
+            {name: Agreement(c + (k + 1) * d, c, v, (0, 0)) for k, (name, (c, v)) in enumerate(beside.items())},
+        )
+        for d in scatter
+    ]
+    scores = {f"v{k}": after + float(d) for k, d in enumerate(scatter)}
+    scene = Scene.__new__(Scene)
+    return HeldOut(scene, scene, scene, [], [], {}, scores, scores, images, rivals, fronts or {})
+
+
+PICTURE = {"nearest": (0.8, 3.0)}
+
+
+@pytest.mark.unit
+def test_no_lead_is_claimed_before_a_box_was_met() -> None:
+    """The model is ahead of pictures in all of these: that alone says nothing of a body."""
+    unmet = held({"model": (0.9, 1.3), **PICTURE}, 1.3)
+    assert not unmet.ahead
+    assert sentence(unmet).endswith("no lead is claimed: no box of the body's size was asked")
+    assert held({"model": (0.9, 1.3), **PICTURE}, 1.3, rivals=False).ahead
+
+    beaten = held({"model": (0.9, 1.3), **PICTURE, "box": (0.9, 1.3)}, 1.3)
+    assert not beaten.ahead
+    assert sentence(beaten).endswith("not this body")
+
+    better = held({"model": (0.9, 1.3), **PICTURE, "box": (0.8, 1.4)}, 1.3)
+    assert better.ahead
+    assert sentence(better).endswith("predicts better than pictures of other views and a box")
+
+    # the body is a box: nothing but speckle is left
+    box = held({"model": (0.9, 1.0), **PICTURE, "box": (0.9, 1.0)}, 1.0)
+    assert box.ahead
+    assert "a box does as well, and nothing but speckle is left" in sentence(box)
+
+
+@pytest.mark.unit
+def test_a_box_that_was_asked_early_meets_the_model_of_that_time() -> None:
+    found = held({"model": (0.95, 1.2), **PICTURE, "box": (0.9, 1.3), "then": (0.9, 1.3)}, 1.2)
+    assert not found.ahead
+    assert any("before all effects were tried" in words for words in judgement(found))
+
+
+@pytest.mark.unit
+def test_a_front_that_is_not_told_is_said() -> None:
+    beside = {"model": (0.9, 1.3), **PICTURE, "box": (0.8, 1.4)}
+    step = TrialStep(f"car {TURNED}", -0.01, 0.02, 0.0, False)
+    assert "which end of car is its front is not told" in sentence(held(beside, 1.3, fronts={"car": step}))
+    told = held(beside, 1.3, fronts={"car": replace(step, gain=-0.1)})
+    assert "front" not in sentence(told)
+    assert any("turned round, car changes" in words for words in judgement(told))
+
+
+@pytest.mark.full
 def test_time_that_is_over_leaves_the_first_model(tmp_path: Path) -> None:
     late = held_out(measured(tmp_path), devices.resolve_device("cpu"), 2, time_limit_s=0.0)
-    assert late.not_asked == ["whether another effect is missing"]
+    assert late.not_asked == ["whether another effect is missing", RIVALS]
+    assert not late.ahead
     assert late.before == late.after
 
 

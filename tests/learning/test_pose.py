@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from warpsar.learning.command import run
 from warpsar.learning.geometry import Geometry
 from warpsar.learning.glints import with_glints
 from warpsar.learning.options import LearnOptions
-from warpsar.learning.pose import PosedProblem, foretold_gain, without_shading
+from warpsar.learning.pose import PosedProblem, _lower, _shortened, foretold_gain, without_shading
 from warpsar.learning.pose_pixels import FLOOR_SHARE, compared
 from warpsar.learning.pose_search import find_poses, group_pose
 from warpsar.learning.pose_sharing import boxes, columns_of, faces_about, shared
@@ -592,3 +593,28 @@ def test_effects_that_carry_power_share_nothing() -> None:
     scene = replace(car_park(2), effects={"multibounce": {"max_bounces": 2}})
     assert boxes(scene, scene.views[0]) is None
     assert shared(Geometry(scene).coordinates, None) == [[k] for k in range(12)]
+
+
+@pytest.mark.unit
+def test_a_step_that_gains_nothing_is_damped_however_many_gained_before() -> None:
+    """A curvature that is a hundred times too small: steps overshoot until they are damped by 50 or more. After many
+    steps of gain the damping stands at 1e-9."""
+    x, curvature = np.array([1e-3]), 3.0
+    problem: Any = SimpleNamespace(
+        bounds=(np.array([-1e3]), np.array([1e3])),
+        size=0,
+        geometry=SimpleNamespace(coordinates=[SimpleNamespace(body="car")]),
+        value=lambda at: float(0.5 * curvature * at[0] ** 2),
+    )
+    gradient, hessian = curvature * x, np.array([[curvature / 100.0]])
+    found = _lower(problem, x, problem.value(x), gradient, hessian, 1e-9, 1e-9)
+    assert found is not None
+    assert found[1] < problem.value(x)
+
+
+@pytest.mark.unit
+def test_a_body_that_would_move_far_does_not_hold_another_back() -> None:
+    coordinates = [SimpleNamespace(body=body) for body in ("car", "car", "van")]
+    problem: Any = SimpleNamespace(size=1, geometry=SimpleNamespace(coordinates=coordinates))
+    step = np.array([4.0, 5.0, -1.0, 0.5])
+    np.testing.assert_allclose(_shortened(problem, step), [1.0, 1.0, -0.2, 0.5])

@@ -12,6 +12,7 @@ NAMES = {
     "model": "this model",
     "before": "the model before",
     "box": "a box of its size, same effects",
+    "then": "the model that met the box",
     "nearest": "nearest measured view, turned",
     "mirrored": "nearest mirrored view, turned",
     "mean": "mean of the measured views",

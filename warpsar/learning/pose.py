@@ -38,6 +38,7 @@ KEPT_WITHIN_PX, KEPT_WITHIN = 0.1, 0.2
 MOST_STEPS = 40
 LARGEST_MOVE_M, LARGEST_STEP = 1.0, 1.0  # in one step: of a pose, and of a log coordinate
 STANDS_M = 1e-2  # standard deviation of a foot's height about the ground that it stands on
+DAMPED = 1e-3  # damping of a first step, and least one after a step that gained nothing
 FLAT = 2e-3  # gain in log-likelihood that counts as none
 
 
@@ -311,7 +312,7 @@ def descend(
     ends_near = near
     low, high = problem.bounds
     x = np.clip(x, low, high)
-    loss, damping = problem.value(x), 1e-3
+    loss, damping = problem.value(x), DAMPED
     near = True
     for step_number in range(most):
         check()
@@ -352,7 +353,7 @@ def _lower(
         value = problem.value(trial)
         if value < loss:
             return trial, value, max(damping / 10.0, 1e-9)
-        damping *= 8.0
+        damping = max(8.0 * damping, DAMPED)
     return None
 
 
@@ -425,9 +426,14 @@ def _step(gradient: np.ndarray, hessian: np.ndarray, free: np.ndarray, damping: 
 
 
 def _shortened(problem: PosedProblem, step: np.ndarray) -> np.ndarray:
-    """Each part of the step within its own bound: a surface in its valley must not hold an object back."""
+    """Each part of the step within its own bound: neither a surface in its valley nor another body must hold a body
+    back."""
     found = step.copy()
-    for part, most in ((slice(0, problem.size), LARGEST_STEP), (slice(problem.size, None), LARGEST_MOVE_M)):
+    parts: dict[object, list[int]] = {}
+    for k, one in enumerate(problem.geometry.coordinates, start=problem.size):
+        parts.setdefault(one.body, []).append(k)
+    moves = [(each, LARGEST_MOVE_M) for each in parts.values()]
+    for part, most in [(list(range(problem.size)), LARGEST_STEP), *moves]:
         largest = float(np.abs(step[part]).max(initial=0.0))
         found[part] *= min(1.0, most / largest) if largest else 1.0
     return found

@@ -6,6 +6,8 @@ do. A mesh that predicts no better than a box has told nothing of the body.
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 
 from warpsar.scene.placing import with_objects
@@ -16,9 +18,9 @@ from warpsar.world.objects.table import Object
 KNOWN = "10 %"  # of a box's sizes
 
 
-def as_box(scene: Scene, label: str) -> Scene:
-    """The scene with the object of a mesh as a box about it, in its pose; its sizes are known to `KNOWN`."""
-    return with_objects(scene, [_box(scene, one) if one.label == label else one for one in scene.objects])
+def as_box(scene: Scene, labels: Collection[str]) -> Scene:
+    """The scene with some objects as boxes about them, in their poses; their sizes are known to `KNOWN`."""
+    return with_objects(scene, [_box(scene, one) if one.label in labels else one for one in scene.objects])
 
 
 def _box(scene: Scene, one: Object) -> Object:

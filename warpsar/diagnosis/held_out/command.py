@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from warpsar.compare.prediction import BOX, Advantage, summaries
-from warpsar.diagnosis.held_out.report import sentence, write_report
+from warpsar.compare.prediction import Advantage, summaries
+from warpsar.diagnosis.held_out.report import front_words, judgement, sentence, write_report
 from warpsar.diagnosis.held_out.search import HeldOut, held_out
 from warpsar.diagnosis.run_log import open_run_log
 from warpsar.io import checkpoint
@@ -50,8 +50,8 @@ def run(
         write_report(out / "report.html", found, content, words, where)
         if not found.not_asked:
             checkpoint.remove(out)
-        for ahead in found.advantages:
-            console.say(ahead.words)
+        for said in judgement(found):
+            console.say(said)
         console.say_written(out, "report.html", "diagnosis.json", "scene.toml")
         print(sentence(found), file=sys.stdout)
         return content
@@ -61,13 +61,12 @@ def run(
 
 def content_of(found: HeldOut) -> dict[str, Any]:
     """What diagnosis.json holds."""
-    of_rival = {one.rival == BOX: one for one in reversed(found.advantages)}
-    pictures, box = (_advantage_content(of_rival.get(is_box)) for is_box in (False, True))
     return {
         "verdict": found.held,
         "unexplained": not found.ahead,
-        "lead": pictures,
-        "lead_of_box": box,
+        "lead": _advantage_content(found.of_pictures),
+        "lead_of_box": _advantage_content(found.of_box),
+        "fronts": {label: {**asdict(step), "words": front_words(label, step)} for label, step in found.fronts.items()},
         "not_asked": found.not_asked,
         "folds": found.folds,
         "steps": [asdict(step) for step in found.steps],

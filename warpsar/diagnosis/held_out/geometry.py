@@ -27,6 +27,7 @@ FURTHER = 4  # places beyond a profile's end, where it is still falling there
 ARCS = 9  # of neighbours in azimuth: their misfit is alike, so the jackknife leaves out an arc at a time
 INTERVAL = 0.95
 TURNED = "turned by 180 deg"
+ALIKE = ("box", "cylinder", "sphere")  # primitives that look the same turned by 180 degrees
 
 
 @dataclass(frozen=True)
@@ -169,6 +170,14 @@ def turned(scene: Scene, label: str) -> Scene:
     return with_objects(scene, objects)
 
 
+def bodies(scene: Scene) -> list[str]:
+    """The objects of whose size or heading something is not known. A plate is ground, and a group has its place in the
+    scene's own mesh."""
+    own = [one for one in scene.objects if one.group is None and one.primitive != "plate"]
+    return [one.label for one in own if {"size", "scale", "heading"} & set(one.learn)]
+
+
 def turnable(scene: Scene) -> list[str]:
-    """The objects that have a front and of whose pose or size something is not known."""
-    return [one.label for one in scene.objects if one.mesh is not None and one.learn and "heading" in one.learn]
+    """The bodies that have a front and of whose heading something is not known; a box looks the same from behind."""
+    own = {one.label: one for one in scene.objects if one.primitive not in ALIKE and "heading" in one.learn}
+    return [label for label in bodies(scene) if label in own]

@@ -13,8 +13,8 @@ from scipy.ndimage import uniform_filter
 
 from warpsar.compare.aim import Reach
 from warpsar.compare.comparison import ratio_db
-from warpsar.compare.prediction import measured_of, predicted, summaries
-from warpsar.diagnosis.held_out.search import HeldOut
+from warpsar.compare.prediction import THEN, measured_of, predicted, summaries
+from warpsar.diagnosis.held_out.search import TOLD, HeldOut, TrialStep
 from warpsar.evaluation.report_parts import beta0_rgb, image_axes, reach_db, residual_rgb, residual_scale
 from warpsar.evaluation.report_prediction import prediction_table
 from warpsar.io import html as report
@@ -33,10 +33,42 @@ def sentence(found: HeldOut) -> str:
     said = f"found: {names}; deviance of views left out {before:.3f} -> {after:.3f}"
     if found.not_asked:
         said += "; the time was over before all was asked"
-    if not found.advantages:
-        return said
-    rivals = "pictures of other views" + (" and a box" if len(found.advantages) > 1 else "")
-    return f"{said}; {f'predicts better than {rivals}' if found.ahead else 'not this body'}"
+    fronts = [front_words(label, step) for label, step in found.fronts.items() if not _is_known(step)]
+    return "; ".join([said, *([_of_body(found)] if found.advantages else []), *fronts])
+
+
+def _of_body(found: HeldOut) -> str:
+    """Whether the model is of this body, in words."""
+    pictures, box = found.of_pictures, found.of_box
+    if found.undecided:
+        return "no lead is claimed: no box of the body's size was asked"
+    if not found.ahead:
+        return "not this body"
+    if box is None or pictures is None:
+        return "predicts better than pictures of other views"
+    if box.ahead:
+        return "predicts better than pictures of other views and a box"
+    return "predicts better than pictures of other views; a box does as well, and nothing but speckle is left"
+
+
+def _is_known(step: TrialStep) -> bool:
+    return -step.gain > TOLD * step.error
+
+
+def front_words(label: str, step: TrialStep) -> str:
+    """What a body turned round says of its front."""
+    said = f"turned round, {label} changes the deviance of views left out by {-step.gain:+.3f} +- {step.error:.3f}"
+    return said if _is_known(step) else f"which end of {label} is its front is not told ({said})"
+
+
+def judgement(found: HeldOut) -> list[str]:
+    """How far ahead the model is of each rival, in words."""
+    said = [one.words for one in found.advantages]
+    if found.of_box is not None and THEN in found.images[0].predictions:
+        said[-1] += "; the box was asked before all effects were tried, and is held against the model of that time"
+    if found.undecided:
+        said.append("no box of the body's size was asked, so no lead is claimed")
+    return [*said, *(front_words(label, step) for label, step in found.fronts.items())]
 
 
 def write_report(
@@ -71,12 +103,11 @@ def _in_short(found: HeldOut) -> str:
     said = [
         "Every train view is predicted by a model that has not seen it, nor its neighbours. The rivals need no "
         "physics: the nearest measured view turned as a picture, the one nearest to the mirrored azimuth, and the "
-        "mean of all. The box has the body's extents and all that was found, fitted anew, sizes too: a mesh that "
-        "predicts no better has told nothing of the body."
+        "mean of all. The box has the body's extents and all that was found, fitted anew, sizes too: a body that "
+        "predicts no better has told nothing of itself. Turned round, the body is fitted anew in the same way."
     ]
     said += [f"The time was over; not asked: {one}." for one in found.not_asked]
-    for ahead in found.advantages:
-        said.append(f"{ahead.words[0].upper()}{ahead.words[1:]}.".replace("+-", "±"))
+    said += [f"{words[0].upper()}{words[1:]}.".replace("+-", "±") for words in judgement(found)]
     return report.section("In short", *map(report.paragraph, said), prediction_table(summaries(found.images)))
 
 

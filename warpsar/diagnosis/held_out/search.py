@@ -5,10 +5,15 @@ is the gamma deviance of every view by the model that has not seen it. A trial s
 error over the views, is above the noise: what a fit with nothing new gains on other rays and with as many iterations
 more, its mean and one standard error. At the end every effect is left out once more: it stays if it is worth two
 standard errors, for what came early may only have stood in for what came later.
+
+A body meets its rivals before any lead is claimed: itself turned round, and a box of its size, each fitted in the same
+way. They are asked once its sizes were first moved, and at the end once more, so that a run of little time has an
+answer.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -18,14 +23,16 @@ import numpy as np
 import warp as wp
 
 from warpsar.compare.aim import EXPECTED
-from warpsar.compare.prediction import BOX, Advantage, PredictedImage, advantage, predicted
+from warpsar.compare.prediction import BOX, THEN, Advantage, PredictedImage, advantage, predicted
 from warpsar.diagnosis.held_out.arcs import by_azimuth, folds
 from warpsar.diagnosis.held_out.box import as_box
 from warpsar.diagnosis.held_out.geometry import (
     NEAR,
     TURNED,
     WIDE,
+    Number,
     Profile,
+    bodies,
     numbers,
     profiled,
     turnable,
@@ -51,6 +58,11 @@ LAST = 6  # of the fit of all views at the end, which begins where the others en
 PAYS = 2.0  # standard errors that an effect is worth at the end
 MATTERS = 0.05  # gain of a trial from which on sizes and angles are moved beside it; after smaller ones, at the end
 GEOMETRY = "sizes and angles"
+TOLD = 2.0  # standard errors by which a body predicts better than turned round, where its front is told
+CERTAIN = 4.0  # standard errors from which on it is not asked again
+EXPLAINED = 2.0  # standard errors above the deviance of speckle, within which nothing else is left
+BOXED = "a box of its size"
+RIVALS = "whether the body turned round, or a box of its size, predicts as well"
 
 
 @dataclass(frozen=True)
@@ -104,8 +116,9 @@ class Added:
 class HeldOut:
     """What was found. `declared` and `final`: the scene of the file fitted, and with all that stays, fitted to all
     train views. `folds` have the names of the views left out together. `before` and `after`: deviances of the views
-    left out, by name, in order of azimuth. `images`: the views left out beside all that predicts them. `not_asked`:
-    what a limit of time left out."""
+    left out, by name, in order of azimuth. `images`: the views left out beside all that predicts them. `rivals`:
+    whether there are bodies, which meet a box of their size. `fronts`: by body, its trial against itself turned round.
+    `not_asked`: what a limit of time left out."""
 
     scene: Scene
     declared: Scene
@@ -116,19 +129,43 @@ class HeldOut:
     before: dict[str, float]
     after: dict[str, float]
     images: list[PredictedImage]
+    rivals: bool = False
+    fronts: dict[str, TrialStep] = field(default_factory=dict)
     held: list[str] = field(default_factory=list)
     not_asked: list[str] = field(default_factory=list)
 
     @property
+    def of_pictures(self) -> Advantage | None:
+        """How far ahead the model is of pictures of other views."""
+        return advantage(self.images)
+
+    @property
+    def of_box(self) -> Advantage | None:
+        """How far ahead of a box of the body's size the model is that met it; None where none was asked."""
+        then = bool(self.images) and THEN in self.images[0].predictions
+        return advantage(self.images, THEN if then else "model", rivals=(BOX,))
+
+    @property
     def advantages(self) -> list[Advantage]:
-        """How far ahead the model is of pictures of other views, and of a box of the body's size."""
-        found = [advantage(self.images), advantage(self.images, rivals=(BOX,))]
-        return [one for one in found if one is not None]
+        return [one for one in (self.of_pictures, self.of_box) if one is not None]
+
+    @property
+    def undecided(self) -> bool:
+        """Whether a body has not met its box, so that no lead can be claimed."""
+        return self.rivals and self.of_box is None
+
+    @property
+    def explained(self) -> bool:
+        """Whether the views left out have nothing but speckle left. A box may then be what the body is."""
+        mean, error = _mean_and_error(np.array(list(self.after.values())))
+        return mean <= 1.0 + EXPLAINED * error
 
     @property
     def ahead(self) -> bool:
-        """Whether no rival predicts as well."""
-        return all(one.ahead for one in self.advantages)
+        """Whether no rival predicts as well; a box may, where nothing but speckle is left."""
+        pictures, box = self.of_pictures, self.of_box
+        better = pictures is None or pictures.ahead
+        return better and not self.undecided and (box is None or box.ahead or self.explained)
 
 
 class FoldSearch:
@@ -145,7 +182,9 @@ class FoldSearch:
     ) -> None:
         self._log, self._time_limit_s = log or RunLog(), time_limit_s
         self._model: Model
-        self._box: Model | None = None
+        self._rivals: dict[str, Model] = {}  # as they were asked last
+        self._met: Model | None = None  # the model that they were asked beside
+        self._fronts: dict[str, TrialStep] = {}
         self._doing = ""
         self.not_asked: list[str] = []  # what a limit of time left out, in words
         self.trained, self.device, self._progress = TrainViews(scene, device), device, progress
@@ -154,6 +193,7 @@ class FoldSearch:
         self.folds = folds(self.trained.views, parts)
         self.order = [view.name for view in by_azimuth(self.trained.views)]
         self.numbers = numbers(self.start)
+        self.bodies = bodies(self.start)
         self.steps: list[TrialStep] = []
         self.profiles: dict[str, Profile] = {}
         self.held: list[str] = []
@@ -162,16 +202,21 @@ class FoldSearch:
 
     def run(self) -> HeldOut:
         """Fit, try, fit again; until the time is over: then what was found so far stands."""
+        started, limit_s = time.monotonic(), self._time_limit_s
         first = self._model = self._surely_fitted([self.start] * len(self.folds))
         console.say(f"as declared: deviance of views left out {first.scores.mean() / EXPECTED:.3f}")
         try:
-            with deadline(self._time_limit_s):
+            with deadline(None if limit_s is None else max(limit_s - (time.monotonic() - started), 0.0)):
                 self._search()
         except TimeUp:
-            self.not_asked = [self._doing]
-            console.say(f"the time is over; not asked: {self._doing}")
-        model, boxed = self._model, self._box
+            unmet = [RIVALS] if self.bodies and self._met is None else []
+            self.not_asked = list(dict.fromkeys([self._doing, *unmet]))
+            console.say(f"the time is over; not asked: {'; '.join(self.not_asked)}")
+        model, boxed, met = self._model, self._rivals.get(BOX), self._met
         self._progress()
+        models = {"model": model.scenes, "before": first.scenes}
+        if boxed is not None and met is not None:
+            models |= {BOX: boxed.scenes} | ({} if met is model else {THEN: met.scenes})
         final = self.fits.fitted(model.scenes[0], self.trained.names, LAST).scene
         return HeldOut(
             scene=self.trained.whole,
@@ -182,9 +227,9 @@ class FoldSearch:
             profiles=self.profiles,
             before=self._by_name(first.scores),
             after=self._by_name(model.scores),
-            images=self._images(
-                {"model": model.scenes, "before": first.scenes} | ({} if boxed is None else {BOX: boxed.scenes})
-            ),
+            images=self._images(models),
+            rivals=bool(self.bodies),
+            fronts=self._fronts,
             held=list(dict.fromkeys(self.held)),
             not_asked=self.not_asked,
         )
@@ -192,25 +237,25 @@ class FoldSearch:
     def _search(self) -> None:
         refused: set[str] = set()
         offsets: Sequence[float] = WIDE
-        movable, pending = bool(self.numbers or turnable(self.start)), True
+        pending = True
         while True:
             self._doing = "whether another effect is missing"
             found = self._turn(self._model, refused)
             if found is None:
                 break
             self._model, pending = found, True
-            if movable and self.steps[-1].gain > MATTERS:
-                self._doing = GEOMETRY
-                moved, pending = self._geometry(self._model, offsets), False
-                if moved is not None:
-                    self._model, offsets = moved, NEAR
-        if movable and pending:
-            self._doing = GEOMETRY
-            self._model = self._geometry(self._model, offsets) or self._model
+            if self.steps[-1].gain > MATTERS:
+                offsets, pending = self._geometry(offsets), False
+                self._ask_fronts()
+                if self._met is None:
+                    self._meet_box()
+        if pending:
+            self._geometry(offsets)
+            self._ask_fronts()
         self._doing = "the gain of each effect at the end"
         self._model = self._asked_again(self._model)
-        self._doing = "whether a box of its size predicts as well"
-        self._box = self._boxed(self._model)
+        if self._met is not self._model:
+            self._meet_box()
 
     def _images(self, models: Mapping[str, Sequence[Scene]]) -> list[PredictedImage]:
         """The views left out beside what models that have not seen them predict, and beside the rivals."""
@@ -419,51 +464,89 @@ class FoldSearch:
             self._glanced[one.label] = each
         self._progress()
 
-    def _geometry(self, model: Model, offsets: Sequence[float]) -> Model | None:
-        """Move sizes and angles, one after the other; the moved model, where it stays."""
-        now, weight = list(model.scenes), 0.5 * self._draws()
-        profiles: dict[str, Profile] = {}
-
-        def scored(change: Callable[[Scene], Scene]) -> np.ndarray:
-            return self._scored_moved(now, change)
-
-        for number in self.numbers:
-            profiles[number.label], by = profiled(number, now[0], offsets, scored, weight)
-            now = [number.moved(scene, by) for scene in now]
-            self._progress()
-        for label in turnable(self.start):
-            base, back = scored(lambda scene: scene), scored(partial(turned, label=label))
-            if self._judged(f"{label} {TURNED}", Model(now, base), back, refitted=False):
-                now = [turned(scene, label) for scene in now]
-        scores = scored(lambda scene: scene)
-        if not self._judged(GEOMETRY, model, scores, refitted=False):
-            return None
+    def _geometry(self, offsets: Sequence[float]) -> Sequence[float]:
+        """Move sizes and angles, one after the other, and fit all else anew where that pays. Returns the places of the
+        next profiles."""
+        if not self.numbers:
+            return offsets
+        self._doing = GEOMETRY
+        now, profiles = self._profiled(self._model.scenes, self.numbers, offsets)
+        moved = Model(now, self._scored_moved(now, lambda scene: scene))
+        if not self._judged(GEOMETRY, self._model, moved.scores, refitted=False):
+            return offsets
         self.profiles |= profiles
         for one in profiles.values():
             console.say(f"  {one.label}: {one.value:.4g} +- {one.half:.2g} {one.unit}, known as {one.known:.4g}")
-        return Model(now, scores)
+        # what was fitted to other sizes would make anything seem likely that is fitted next
+        self._model = min(moved, self._surely_fitted(now), key=_mean_score)
+        return NEAR
 
-    def _boxed(self, model: Model) -> Model | None:
-        """The model with every body of a mesh, whose pose or size is not known, as a box of its size, and fitted anew;
-        None without such a body."""
-        labels = turnable(self.start)
-        if not labels:
-            return None
-        now = list(model.scenes)
-        for label in labels:
-            now = [as_box(scene, label) for scene in now]
-        sizes = [one for one in numbers(now[0]) if one.parameter.key == "size_m" and one.parameter.owner in set(labels)]
-        for number in sizes:
+    def _profiled(
+        self, scenes: Sequence[Scene], some: Sequence[Number], offsets: Sequence[float]
+    ) -> tuple[list[Scene], dict[str, Profile]]:
+        """The scenes with some numbers moved, one after the other, and their profiles."""
+        now, weight, profiles = list(scenes), 0.5 * self._draws(), {}
+        for number in some:
 
             def scored(change: Callable[[Scene], Scene]) -> np.ndarray:
                 return self._scored_moved(now, change)  # noqa: B023 - called at once
 
-            _, by = profiled(number, now[0], WIDE, scored, 0.5 * self._draws())
+            profiles[number.label], by = profiled(number, now[0], offsets, scored, weight)
             now = [number.moved(scene, by) for scene in now]
             self._progress()
-        # the rival at its best: the body's surface may lead a box into a valley
-        begun = [now, [as_declared(self.start, scene) for scene in now]]
-        return min((self._surely_fitted(each) for each in begun), key=lambda one: float(one.scores.mean()))
+        return now, profiles
+
+    def _ask_fronts(self) -> None:
+        """Turn bodies round where that predicts better. One whose front is certain is not asked again."""
+        self._doing = RIVALS
+        for label in turnable(self.start):
+            name, before = f"{label} {TURNED}", self._fronts.get(label)
+            if before is not None and abs(before.gain) > CERTAIN * before.error:
+                continue
+            rival, profiles = self._rival(name, partial(turned, label=label))
+            model = self._model
+            stays = self._judged(name, model, rival.scores)
+            step = self.steps[-1]
+            if stays:
+                self._rivals[name], self._model = model, rival
+                self.profiles |= profiles
+                step = replace(step, gain=-step.gain)
+            self._fronts[label] = step
+
+    def _meet_box(self) -> None:
+        """Hold the model against itself with every body as a box."""
+        if not self.bodies:
+            return
+        self._doing = RIVALS
+        self._rivals[BOX] = self._boxed()
+        self._met = self._model
+        gain, error = _mean_and_error(self._met.scores - self._rivals[BOX].scores)
+        self.steps.append(TrialStep(BOXED, gain / EXPECTED, error / EXPECTED, 0.0, False))
+        self._say()
+
+    def _boxed(self) -> Model:
+        """The rival that has every body as a box of its size. Bodies that are boxes are their own rivals."""
+        if all(one.primitive == "box" for one in self.start.objects if one.label in self.bodies):
+            return self._model
+        return self._rival(BOX, lambda scene: as_box(scene, self.bodies))[0]
+
+    def _rival(self, name: str, made: Callable[[Scene], Scene]) -> tuple[Model, dict[str, Profile]]:
+        """A rival of the model at its best: as `made` of the model, or as it was when it was asked last; its sizes and
+        the angle of the views moved, and all else fitted, from there and from the declared surface. With its profiles.
+        """
+        begun, offsets = [made(scene) for scene in self._model.scenes], WIDE
+        if name in self._rivals:
+            pairs = zip(self._rivals[name].scenes, self._model.scenes, strict=True)
+            begun = [replace(rival, materials=one.materials, effects=one.effects) for rival, one in pairs]
+            offsets = NEAR
+        mine = {one.label: one for one in self.numbers}
+        own = [mine.get(one.label, one) for one in numbers(begun[0])]
+        free = [one for one in own if one.parameter.root == "views" or one.parameter.owner in self.bodies]
+        now, profiles = self._profiled(begun, free, offsets)
+        # the rival at its best: the body's surface may lead it into a valley
+        fits = [self._surely_fitted(each) for each in (now, [as_declared(self.start, scene) for scene in now])]
+        self._rivals[name] = min(fits, key=_mean_score)
+        return self._rivals[name], profiles
 
     def _draws(self) -> float:
         """Independent draws of speckle in a view: its pixels over those that share a draw by the point spread."""
@@ -472,6 +555,10 @@ class FoldSearch:
         widths = [float(table.get(f"{axis}_fwhm_m", 0.0)) for axis in ("range", "azimuth")]
         shared = [max(width / step, 1.0) for width, step in zip(widths, scene.grid.spacing_m, strict=True)]
         return float(np.prod(scene.grid.shape)) / float(np.prod(shared))
+
+
+def _mean_score(model: Model) -> float:
+    return float(model.scores.mean())
 
 
 def _mean_and_error(gain: np.ndarray) -> tuple[float, float]:
