@@ -136,7 +136,7 @@ class Search:
         if not candidate.refused:
             last.added, last.fitted = candidate.effect, fitted
             self._times[candidate.effect] += 1
-            self._setup, self._base = narrow(self._setup, fitted)
+            self._setup, self._base = narrow(self._setup, self._other, fitted)
             self._forward()
 
     def _left(self, scene: Scene) -> bool:
@@ -219,7 +219,7 @@ class Search:
             if changes(self.scene, turn.fitted.scene):
                 self._setup, self._base = on_its_ground(self._setup, self._other, turn.fitted)
             else:
-                self._setup, self._base = narrow(self._setup, turn.fitted)
+                self._setup, self._base = narrow(self._setup, self._other, turn.fitted)
 
     def _turn(self) -> Turn:
         """Score every effect that is not in the model, fit the best, and add the likeliest. Drop those of earlier turns
