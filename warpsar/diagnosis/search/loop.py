@@ -82,10 +82,10 @@ class Search:
         self._asked: set[str] = set()  # of the model's additions: those that hold beside all the others
         self._posed: FoundPoses | None = None  # changed objects of the final model
 
-    def run(self) -> None:
-        """Search to the end, or until the time is over: then what was found so far stands."""
+    def run(self, left_s: float | None) -> None:
+        """Search to the end, or until the time that is left is over: then what was found so far stands."""
         try:
-            with deadline(self.options.time_limit_s):
+            with deadline(left_s):
                 self._search()
         except TimeUp:
             self._ended_early()
