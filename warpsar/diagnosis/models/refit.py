@@ -252,6 +252,11 @@ def narrowed_to(setup: FitSetup, problem: FitProblem) -> FitSetup:
             inner = once.decide(minimum_filter(lit, size=3, mode="constant")) > 0
             kept = replace(seen, interior=seen.interior & inner, silent=seen.silent & inner)
             observations.setdefault(view.view.name, []).append(kept)
+    return _with(setup, observations)
+
+
+def _with(setup: FitSetup, observations: Mapping[str, list[Observation]]) -> FitSetup:
+    """The bench with other observations; the same where the pixels are."""
     pairs = [(a, b) for name in observations for a, b in zip(observations[name], setup.observations[name], strict=True)]
     if all((a.interior == b.interior).all() for a, b in pairs):
         return setup
@@ -268,7 +273,7 @@ def _told_by_rays(setup: FitSetup, other: FitSetup, fitted: Fitted) -> FitSetup:
             images = [image_of(each, seen.polarization) for each in (one, two)]
             told = once.decide(told_by_rays(*images, seen.looks)) > 0
             observations.setdefault(one.view.name, []).append(replace(seen, interior=seen.interior & told))
-    return replace(setup, observations=observations)
+    return _with(setup, observations)
 
 
 def fitted_at(setup: FitSetup, problem: FitProblem, x: np.ndarray, loss: float, iterations: int) -> Fitted:
