@@ -15,7 +15,7 @@ from warpsar.compare import judgement as module
 from warpsar.compare.comparison import Comparison
 from warpsar.compare.edges import edges_of
 from warpsar.compare.judgement import ERROR_RATE, judge
-from warpsar.compare.modelled import ray_variance, told_by_rays
+from warpsar.compare.modelled import known_by_rays, ray_variance
 from warpsar.evaluation.command import evaluate
 from warpsar.runtime.distributed.travel import packed, unpacked
 from warpsar.scene.scene import Scene
@@ -92,7 +92,7 @@ def test_what_two_sets_of_rays_tell_of_a_pixel() -> None:
     ground[4, 4] = ground[3:6, 11:15] = False
     assert (variance[ground] < 1e-3 * 0.02**2).all()
     assert variance[3, 12] == pytest.approx(0.02**2 * 2.0 * (0.04 / 0.06) ** 2 / 9.0)
-    told = told_by_rays(one, other, 20.0)
+    told = known_by_rays(one, other, 20.0)
     assert told[4, 4]
     assert told[ground].all()
     assert not told[4, 12:14].any()

@@ -107,7 +107,7 @@ def ray_variance(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     return np.asarray(np.maximum(own, np.minimum(alike, share * power)))
 
 
-def told_by_rays(one: np.ndarray, other: np.ndarray, looks: float) -> np.ndarray:
+def known_by_rays(one: np.ndarray, other: np.ndarray, looks: float) -> np.ndarray:
     """Where one of two images by independent rays is known well beside speckle of so many looks, bool (rows, cols)."""
     return np.asarray(2.0 * ray_variance(one, other) * looks <= BY_RAYS * ((one + other) / 2.0) ** 2)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from warpsar.compare.modelled import told_by_rays
+from warpsar.compare.modelled import known_by_rays
 from warpsar.compare.observation import Observation
 from warpsar.diagnosis.models.fit_setup import FitSetup, image_of
 from warpsar.effects.registry import get
@@ -37,7 +37,7 @@ def frozen(one: FitSetup, other: FitSetup, scene: Scene) -> dict[str, list[Obser
             looks = float(once.decide(mine.looks))
             interior, silent, dark = masks
             if followed:
-                interior &= once.decide(told_by_rays(image, image_of(b, mine.polarization), looks)) > 0
+                interior &= once.decide(known_by_rays(image, image_of(b, mine.polarization), looks)) > 0
             interior &= ~dark  # additive effects that are declared had them in it
             least = once.decide(SLIVER / rays_per_pixel * image)
             seen = replace(mine, interior=interior, silent=silent, dark=dark, looks=looks, least=least)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import minimum_filter
 
-from warpsar.compare.modelled import told_by_rays
+from warpsar.compare.modelled import known_by_rays
 from warpsar.compare.observation import Observation
 from warpsar.diagnosis.models.change import as_declared
 from warpsar.diagnosis.models.fit_setup import FitSetup, image_of
@@ -237,7 +237,7 @@ def narrow(setup: FitSetup, other: FitSetup, fitted: Fitted) -> tuple[FitSetup, 
     fitted.problem.modelled(fitted.x)
     narrowed = narrowed_to(setup, fitted.problem)
     if any(get(name).follows_rays for name in fitted.scene.effects):
-        narrowed = _told_by_rays(narrowed, other, fitted)
+        narrowed = _known_by_rays(narrowed, other, fitted)
     if narrowed is setup:
         return setup, fitted
     return narrowed, refit_as(replace(narrowed, bound=fitted.problem.misfit.bound), fitted.scene)
@@ -263,7 +263,7 @@ def _with(setup: FitSetup, observations: Mapping[str, list[Observation]]) -> Fit
     return replace(setup, observations=observations)
 
 
-def _told_by_rays(setup: FitSetup, other: FitSetup, fitted: Fitted) -> FitSetup:
+def _known_by_rays(setup: FitSetup, other: FitSetup, fitted: Fitted) -> FitSetup:
     """The bench with those of its pixels that two sets of rays know well enough; the model, of the first, has run."""
     again = replace(other, observations=setup.observations).problem(fitted.problem.scene)
     again.modelled(fitted.x)
@@ -271,7 +271,7 @@ def _told_by_rays(setup: FitSetup, other: FitSetup, fitted: Fitted) -> FitSetup:
     for one, two in zip(fitted.problem.views, again.views, strict=True):
         for seen in setup.observations[one.view.name]:
             images = [image_of(each, seen.polarization) for each in (one, two)]
-            told = once.decide(told_by_rays(*images, seen.looks)) > 0
+            told = once.decide(known_by_rays(*images, seen.looks)) > 0
             observations.setdefault(one.view.name, []).append(replace(seen, interior=seen.interior & told))
     return _with(setup, observations)
 
