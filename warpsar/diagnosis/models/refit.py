@@ -270,8 +270,8 @@ def _known_by_rays(setup: FitSetup, other: FitSetup, fitted: Fitted) -> FitSetup
     observations: dict[str, list[Observation]] = {}
     for one, two in zip(fitted.problem.views, again.views, strict=True):
         for seen in setup.observations[one.view.name]:
-            images = [image_of(each, seen.polarization) for each in (one, two)]
-            told = once.decide(known_by_rays(*images, seen.looks)) > 0
+            image, other_image = (image_of(each, seen.polarization) for each in (one, two))
+            told = once.decide(known_by_rays(image, other_image, seen.looks)) > 0
             observations.setdefault(one.view.name, []).append(replace(seen, interior=seen.interior & told))
     return _with(setup, observations)
 
