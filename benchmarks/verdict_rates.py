@@ -61,6 +61,7 @@ def alarms(looks: float, blur: float, repeats: int) -> int:
                     exact=True,
                     reach_px=(0.1, 0.1),
                     smeared=1.0,
+                    by_rays=np.zeros((SIDE, SIDE)),
                     sampling_noise=0.0,
                     incidence_deg=np.full((SIDE, SIDE), 40.0),
                     material=np.zeros((SIDE, SIDE), int),

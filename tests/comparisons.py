@@ -23,9 +23,11 @@ def comparison(
     dark: np.ndarray | None = None,
     spacing_m: tuple[float, float] = (0.5, 0.5),
     border: int = BORDER,
+    by_rays: np.ndarray | None = None,
     **of_seen: Any,
 ) -> Comparison:
-    """`interior`: by default all but the image's edge. `slopes`, (2, rows, cols): none by default."""
+    """`interior`: by default all but the image's edge. `slopes`, (2, rows, cols), and `by_rays`: 0 by
+    default."""
     shape = measured.shape
     usable = np.zeros(shape, bool)
     usable[border : shape[0] - border, border : shape[1] - border] = True
@@ -53,6 +55,7 @@ def comparison(
         exact=True,
         reach_px=(ALLOWED_PX, ALLOWED_PX),
         smeared=1.0,
+        by_rays=np.zeros(shape) if by_rays is None else by_rays,
         sampling_noise=0.0,
         incidence_deg=np.full(shape, 40.0),
         material=np.zeros(shape, int),

@@ -15,6 +15,7 @@ from warpsar.compare import judgement as module
 from warpsar.compare.comparison import Comparison
 from warpsar.compare.edges import edges_of
 from warpsar.compare.judgement import ERROR_RATE, judge
+from warpsar.compare.modelled import known_by_rays, ray_variance
 from warpsar.evaluation.command import evaluate
 from warpsar.runtime.distributed.travel import packed, unpacked
 from warpsar.scene.scene import Scene
@@ -73,6 +74,45 @@ def test_p_values_of_speckle_are_spread_evenly() -> None:
     # the share under a half of 20 has a standard deviation of 0.11
     assert np.mean([one.p_window < 0.5 for one in found]) == pytest.approx(0.5, abs=0.35)
     assert np.mean([one.p_level < 0.5 for one in found]) < 0.8
+
+
+# ---- what rays leave open ----
+
+
+def test_what_two_sets_of_rays_tell_of_a_pixel() -> None:
+    """A corner that both know to 4 % leaves the ground beside it as it is. Power that falls into one pixel or the next
+    by chance is known in neither, nor in one between them where both sets happen to have the same."""
+    one = np.full((9, 18), 0.02)
+    other = one.copy()
+    one[4, 4], other[4, 4] = 1e3, 1.04e3
+    one[4, 12], other[4, 13] = 0.1, 0.1
+    variance = ray_variance(one, other)
+    assert variance[4, 4] == pytest.approx((0.04e3) ** 2 / 4.0)
+    ground = np.ones(one.shape, bool)
+    ground[4, 4] = ground[3:6, 11:15] = False
+    assert (variance[ground] < 1e-3 * 0.02**2).all()
+    assert variance[3, 12] == pytest.approx(0.02**2 * 2.0 * (0.04 / 0.06) ** 2 / 9.0)
+    told = known_by_rays(one, other, 20.0)
+    assert told[4, 4]
+    assert told[ground].all()
+    assert not told[4, 12:14].any()
+
+
+@pytest.mark.full
+def test_power_that_rays_leave_open_is_no_structure() -> None:
+    """A line of pixels, as of a wall, whose model is off by a half, up or down: structure, unless its rays say so. Then
+    a line that is off by a factor of 20 is structure still."""
+    random = np.random.default_rng(3)
+    factor = np.ones((SIDE, SIDE))
+    factor[30, 5:35] = np.maximum(1.0 + 0.5 * random.normal(size=30), 0.05)
+    wall = np.where(factor == 1.0, 0.0, (0.5 * MODELLED) ** 2)
+    images = [one(MODELLED * factor * speckle(random, 20.0, 0.0), 20.0, f"v{k}") for k in range(3)]
+    assert "structure" in judge(images).findings
+    assert judge([replace(image, by_rays=wall) for image in images]).findings == []
+    brighter = [replace(image, by_rays=wall) for image in images]
+    for image in brighter:
+        image.measured[30, 5:35] *= 20.0
+    assert "structure" in judge(brighter).findings
 
 
 # ---- what is there is found ----

@@ -8,14 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 from learning_scenes import cube_scene, measured, views_at
+from scipy.ndimage import maximum_filter
 
 from warpsar.diagnosis.dark.evidence import Dark, worth_a_refit
 from warpsar.diagnosis.found import Candidate, Turn
 from warpsar.diagnosis.models.carried import Carried, carried_over
-from warpsar.diagnosis.models.fit_setup import FitSetup
+from warpsar.diagnosis.models.fit_setup import FitSetup, image_of
 from warpsar.diagnosis.models.frozen import frozen
 from warpsar.diagnosis.models.left_out import ViewsLeftOut, leave_one_view_out
-from warpsar.diagnosis.models.refit import BOUND, Fitted, fit_model, on_bounded_ground, refit_as
+from warpsar.diagnosis.models.refit import BOUND, Fitted, fit_model, narrow, on_bounded_ground, refit_as
 from warpsar.diagnosis.scores.templates import with_effect
 from warpsar.diagnosis.search.confirmation import confirm
 from warpsar.diagnosis.turn.addition import TOO_LITTLE
@@ -85,6 +86,33 @@ def fitted_to(setup: FitSetup, scene: Scene, effects: Mapping[str, Mapping[str, 
 
 
 @pytest.mark.full
+@pytest.mark.full
+def test_pixels_that_rays_do_not_know_are_left_out_once_bounces_are_in_the_model(
+    shifted: tuple[FitSetup, Scene],
+) -> None:
+    """They and those beside them: power may fall into either. Without bounces, no pixel is left out."""
+    setup, scene = shifted
+    other = replace(setup, rays=Rays(setup.rays.stage, setup.rays.rays_per_m2, 4))
+    fitted = refit_as(setup, scene)
+    narrowed, again = narrow(setup, other, fitted)
+    problems = [replace(one, observations=setup.observations).problem(again.scene) for one in (setup, other)]
+    for problem in problems:
+        problem.modelled_as_declared()
+    left_out = 0
+    for number, (name, before) in enumerate(setup.observations.items()):
+        one, two = (image_of(problem.views[number], "HH") for problem in problems)
+        relative = 2.0 * np.abs(one - two) / np.maximum(one + two, 1e-30)
+        limit = np.sqrt(0.2 / before[0].looks)  # half of its square, the variance of one set, is a tenth of speckle's
+        gone = before[0].interior & ~narrowed.observations[name][0].interior
+        assert gone[before[0].interior & (relative > 1.001 * limit)].all()
+        assert (maximum_filter(relative, 3)[gone] > 0.999 * limit).all()
+        left_out += int(gone.sum())
+    assert 0 < left_out < 0.05 * sum(found[0].count for found in setup.observations.values())
+    assert again.problem.scene.effects.keys() == scene.effects.keys()
+    bare = refit_as(setup, replace(scene, effects={}))
+    assert narrow(setup, other, bare)[0] is setup
+
+
 def test_a_shift_of_bright_lines_is_searched_for(shifted: tuple[FitSetup, Scene]) -> None:
     """The search ends at the shift to what its last step, an eighth of a pixel, can tell; of the world's shifts, which
     cannot be this one in all views, it finds the best of a grid about it."""

@@ -531,10 +531,38 @@ def test_groups_of_tubes_without_a_field() -> None:
         assert {tuple(one) for one in borders.cell.tolist()} == (set(beside) if lit else set())
         assert (borders.split == 6).all()  # (1.26 * 3 ** -0.75 / 0.04) ** (2 / 3) is 5.7
         made, samples = cells.samples_of(
-            cells.share([part], grid, (0.5, 0.5)), np.array([1, 2]), 4, 0.25, wp.get_device("cpu")
+            cells.share([part], grid, (0.5, 0.5)), np.array([1, 2]), np.ones(2), 4, 0.25, wp.get_device("cpu")
         )
         assert made["bin"].shape == samples.coupling.shape == (lit,)
         assert samples.weight.numpy() == pytest.approx([4 * np.pi / 0.25] * lit)
+
+
+def test_two_corners_in_one_sample_share_its_power_by_what_they_mirror() -> None:
+    """Fields of one phase, as of two corners of metal that are alike, in bins side by side. If the second has a face
+    that mirrors a tenth of the field, a hundredth of the power falls into its bin, and is left out: below 2 %. At a
+    third it is a tenth."""
+    grid = BinGrid((4, 4), (0.5, 0.5))
+    field = np.zeros((2, len(cells.offsets())), np.complex64)
+    field[:, len(cells.offsets()) // 2] = 1.0
+    records = {
+        "bin": np.array([5, 6], np.int32),
+        "bounces": np.full(2, 2, np.int32),
+        "faces": np.array([[1, 2, 0, 0], [3, 2, 0, 0]], np.int32),
+        "second": np.full((2, 4), 0.25, np.float32),
+        "third": np.full((2, 4), 0.25, np.float32),
+        "point": np.zeros((2, 3), np.float32),
+    }
+    part = cells.Coupled(records, field, np.abs(field) ** 2, np.array([[0, 0], [1, 0]]), np.array([0, 1]))
+    shared = cells.share([part], grid, (0.5, 0.5))
+    shared.place[:] = shared.place[0]
+    for mirror, expected in ((1.0, [0.5, 0.5]), (1.0 / 3.0, [0.9, 0.1]), (0.1, [1.0])):
+        made, samples = cells.samples_of(
+            shared, np.array([1, 2, 3]), np.array([1.0, 1.0, mirror]), 4, 0.25, wp.get_device("cpu")
+        )
+        assert made["bin"].shape == (2,)
+        assert samples.coupling.numpy() == pytest.approx(np.array([[1.0, 0.0]] * 2))
+        of_bin = np.bincount(samples.bin.numpy(), samples.weight.numpy()) * 0.25 / (4 * np.pi) / 2.0
+        assert of_bin[of_bin > 0.0] == pytest.approx(expected, abs=1e-3)
 
 
 @pytest.mark.parametrize("kind", ["strip-map", "finer bins"])

@@ -12,7 +12,7 @@ import numpy as np
 import warp as wp
 
 from warpsar.compare.metrics import ImageMetrics, image_metrics
-from warpsar.compare.modelled import SURE_SDS, Modelled, modelled, sampled
+from warpsar.compare.modelled import BY_RAYS, SURE_SDS, Modelled, modelled, sampled
 from warpsar.compare.observation import Observation, declared_looks, looks_of, observe, usable_pixels
 from warpsar.effects.registry import declared, get
 from warpsar.runtime import console
@@ -42,6 +42,7 @@ class Comparison:
     the image's edge. `slopes`, `moves`, `exact`, `incidence_deg` and `material` are those of `Modelled`, with the gain.
     `reach_px`: pixels by which outlines may lie off in range and in azimuth.
     `smeared`: cells in azimuth over which effects of phase spread one point: its speckle is one draw in all of them.
+    `by_rays`: variance of `simulated` that its rays leave (`modelled.ray_variance`).
     `sampling_noise`: looks x relative variance of the model that its rays leave, averaged over the interior.
     `start_m`, `spacing_m`: range and azimuth of the first pixel's outer corner about the reference point, and steps.
     """
@@ -56,6 +57,7 @@ class Comparison:
     exact: bool
     reach_px: tuple[float, float]
     smeared: float
+    by_rays: np.ndarray
     sampling_noise: float
     incidence_deg: np.ndarray
     material: np.ndarray
@@ -129,9 +131,10 @@ class Comparison:
 
     @cached_property
     def sd(self) -> np.ndarray:
-        """Standard deviation of a pixel about the model: speckle's, and what outlines change that lie a little off."""
+        """Standard deviation of a pixel about the model: speckle's, what outlines change that lie a little off, and
+        what rays leave open."""
         power = self.simulated + np.where(self.interior, 0.0, self.level)
-        return np.sqrt(np.maximum(power, 1e-30) ** 2 / self.seen.looks + self.displaced)
+        return np.sqrt(np.maximum(power, 1e-30) ** 2 / self.seen.looks + self.displaced + self.by_rays)
 
     @cached_property
     def residual(self) -> np.ndarray:
@@ -145,14 +148,20 @@ class Comparison:
         return np.asarray(self.usable & (self.displaced > AT_EDGES * self.sd**2))
 
     @cached_property
+    def open_by_rays(self) -> np.ndarray:
+        """Usable pixels whose power the model's rays leave open beside speckle."""
+        return np.asarray(self.usable & (self.by_rays > BY_RAYS * self.sd**2))
+
+    @cached_property
     def even(self) -> np.ndarray:
-        """Pixels of the interior that no edge is in."""
-        return np.asarray(self.interior & ~self.at_edges)
+        """Pixels of the interior that no edge is in, and that rays tell."""
+        return np.asarray(self.interior & ~self.at_edges & ~self.open_by_rays)
 
     @cached_property
     def scatters(self) -> np.ndarray:
-        """Usable pixels that speckle or displaced outlines make scatter; in the others the model has nothing."""
-        return np.asarray(self.usable & (self.simulated**2 / self.seen.looks + self.displaced > SCATTERS * self.sd**2))
+        """Usable pixels that speckle, displaced outlines or rays make scatter; in the others the model has nothing."""
+        own = self.simulated**2 / self.seen.looks + self.displaced + self.by_rays
+        return np.asarray(self.usable & (own > SCATTERS * self.sd**2))
 
     def under(self, view: View) -> Comparison:
         """The same with looks and texture as `view` declares them."""
@@ -170,7 +179,7 @@ class Comparison:
         seen = self.seen
         planes = {k: getattr(seen, k)[rows, cols] for k in ("measured", "interior", "silent", "dark")}
         least = None if seen.least is None else seen.least[rows, cols]
-        own = {k: getattr(self, k)[rows, cols] for k in ("simulated", "usable", "incidence_deg", "material")}
+        own = {k: getattr(self, k)[rows, cols] for k in ("simulated", "usable", "by_rays", "incidence_deg", "material")}
         own |= {k: getattr(self, k)[:, rows, cols] for k in ("slopes", "moves")}
         return replace(self, seen=replace(seen, **planes, least=least), **own)
 
@@ -266,6 +275,7 @@ def beside(scene: Scene, view: View, polarization: str, model: Modelled) -> Comp
         exact=model.exact,
         reach_px=(reach[0], reach[1]),
         smeared=_smeared(scene, view),
+        by_rays=gain**2 * model.variance,
         sampling_noise=seen.looks * float(np.mean(model.variance[seen.interior] / mu**2)),
         incidence_deg=model.incidence_deg,
         material=model.material,

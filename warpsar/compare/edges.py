@@ -151,7 +151,7 @@ class _Asked:
 class _Pixels:
     """Edge pixels, arrays of shape (n,): measured less modelled power within +-`CUT` `sd`; the variance that speckle
     makes, and its `fourth` moment beyond three variances' squares; the variance that `stated` accuracies of objects
-    make, and what a mean square displacement of 1 m2 adds."""
+    and rays make, and what a mean square displacement of 1 m2 adds."""
 
     away: np.ndarray
     speckle: np.ndarray
@@ -170,7 +170,7 @@ class _Pixels:
             np.clip(away, -CUT * sd, CUT * sd),
             power**2 / looks,
             6.0 * power**4 / looks**3,
-            (image.moves[:, inside] ** 2).sum(axis=0) / SURE_SDS**2,
+            (image.moves[:, inside] ** 2).sum(axis=0) / SURE_SDS**2 + image.by_rays[inside],
             ((image.slopes[:, inside] / steps) ** 2).sum(axis=0),
             sd,
         )

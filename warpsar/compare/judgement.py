@@ -21,7 +21,7 @@ from typing import Any, Literal
 import numpy as np
 from scipy.special import erfc, erfcinv
 
-from warpsar.compare.comparison import LARGEST, Comparison
+from warpsar.compare.comparison import LARGEST, SCATTERS, Comparison
 from warpsar.compare.edges import EdgeDisplacements, displaced, edges_of
 from warpsar.compare.profiles import AxisProfile, Profiles
 from warpsar.runtime import threads
@@ -368,6 +368,9 @@ def _drawn(
             away = power * (ratio - 1.0)
             at_edges = image.at_edges[patch.interior]
             away[at_edges] = displaced(image, random, size) * ratio[at_edges] - power[at_edges]
+            unsure = np.flatnonzero(image.by_rays[patch.interior] > SCATTERS * image.sd[patch.interior] ** 2)
+            error = np.sqrt(image.by_rays[patch.interior][unsure])[:, None]
+            away[unsure] += error * random.normal(size=(unsure.size, size)) * ratio[unsure]
             residual = np.zeros((int(image.usable.sum()), size), np.float32)
             limit = image.sd[patch.interior][:, None]
             residual[patch.interior[image.usable]] = np.clip(away / limit, -LARGEST, LARGEST)

@@ -23,6 +23,8 @@ from warpsar.world.world import geometry_of, posed
 MOST_FACES, MOST_PIXELS, MOST_SEEN = 2**15, 2**20, 2**18
 """Faces, pixels, and faces times views, for exact areas: beyond them rays are several times as fast, and their noise
 lies far below speckle's. Hundreds of views of a fine mesh would take an hour by areas."""
+ABOUT = 3  # pixels on a side, over which the variance by rays is averaged
+BY_RAYS = 0.1  # share of a pixel's variance that rays make, from which its scatter is not speckle's alone
 BINS = 4  # of a pixel along each axis: a quarter of a pixel is what images are moved by
 SURE_SDS = 3.0  # standard deviations by which an object with a stated accuracy is moved
 
@@ -34,8 +36,9 @@ class Modelled:
     `beta0`: linear power. `slopes`, (2, rows, cols): its change for a pixel of shift in range and in azimuth.
     `moves`, (k, rows, cols): its change where each object that states an accuracy is moved by `SURE_SDS` of it along
     one axis of the world. `covered`: what single bounces reach, and the surface covers (`Rendered.covered`).
-    `variance`: of beta0, by the rays. `exact`: whether areas are exact. `incidence_deg` and `material` (index into the
-    mesh's) are those of the surface in the pixel, weighted by its modelled power; NaN and -1 where there is none.
+    `variance`: of beta0, by the rays (`ray_variance`). `exact`: whether areas are exact. `incidence_deg` and
+    `material` (index into the mesh's) are those of the surface in the pixel, weighted by its modelled power; NaN and -1
+    where there is none.
     """
 
     beta0: np.ndarray
@@ -80,7 +83,7 @@ def modelled(
     for pol in view.images:
         planes = [image[pol].astype(float) for image in images]
         mean = np.mean(planes, axis=0)
-        variance = np.zeros_like(mean) if len(planes) == 1 else (planes[0] - planes[1]) ** 2 / 4.0
+        variance = np.zeros_like(mean) if len(planes) == 1 else ray_variance(*planes)
         covered = np.logical_and.reduce([render.covered(pol) for render in renders])
         slopes = np.zeros((2, *mean.shape)) if not edges else shifted[pol] if exact else _between_pixels(mean)
         if edges and scene.accuracy_m is not None:
@@ -89,6 +92,24 @@ def modelled(
         about = _surface_in_pixels(scene, renders[0], pol)
         found[pol] = Modelled(mean, slopes, moved, covered, variance, exact, *about)
     return found
+
+
+def ray_variance(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Variance of the mean of two images by independent rays, any units squared, shape (rows, cols).
+
+    Two values of a pixel may be alike by chance, and power may fall into a pixel or the next one by chance. So it is
+    the mean over `ABOUT` x `ABOUT` pixels where this is more than the pixel's own: of variances or of relative ones,
+    whichever is less. A bright corner says nothing of the ground beside it then, nor that of the corner.
+    """
+    own, power = (one - other) ** 2 / 4.0, ((one + other) / 2.0) ** 2
+    relative = np.divide(own, power, out=np.zeros_like(own), where=power > 0.0)
+    alike, share = (ndimage.uniform_filter(each, ABOUT, mode="nearest") for each in (own, relative))
+    return np.asarray(np.maximum(own, np.minimum(alike, share * power)))
+
+
+def known_by_rays(one: np.ndarray, other: np.ndarray, looks: float) -> np.ndarray:
+    """Where one of two images by independent rays is known well beside speckle of so many looks, bool (rows, cols)."""
+    return np.asarray(2.0 * ray_variance(one, other) * looks <= BY_RAYS * ((one + other) / 2.0) ** 2)
 
 
 def _render(

@@ -34,8 +34,8 @@ class DiagnoseOptions:
     most draws of speckle that calibrate a turn's scores. `refits`: how many of the likeliest candidates get a full fit.
     `starts`: further starts of every fit. `most_effects`: how many may be added; by default as many as there are.
     `bodies`: whether bodies may be moved, left out or proposed; each takes renders of the whole scene, so a hundred of
-    them take hours. `time_limit_s`: when the search ends with what it has found; None for no limit. Raises InputError
-    where the draws are too few for the error rate.
+    them take hours. `time_limit_s`: when after the start the search ends with what it has found; None for no limit.
+    Raises InputError where the draws are too few for the error rate.
     """
 
     family_error: float = 0.01

@@ -7,12 +7,14 @@ from dataclasses import dataclass, field
 from functools import cached_property, partial
 from typing import Any, TypeVar
 
+import numpy as np
 import warp as wp
 
 from warpsar.compare.observation import Observation
 from warpsar.effects.registry import get
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.roughness import Roughness
+from warpsar.learning.view import FitView
 from warpsar.runtime import once, threads
 from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import Rays
@@ -38,6 +40,12 @@ class OtherMeshes:
         made = Rays(Stage.of(scene, device), like.rays_per_m2, like.seed)
         self._kept = [*self._kept, (scene.mesh, made)][-MOST_KEPT:]
         return made
+
+
+def image_of(view: FitView, polarization: str) -> np.ndarray:
+    """beta0 of a view's last run before any gain, float64 (rows, cols)."""
+    shape = view.observations[0].interior.shape
+    return view.render.images[polarization].numpy().astype(float).reshape(shape)
 
 
 def same_surface(one: Mesh, other: Mesh) -> bool:

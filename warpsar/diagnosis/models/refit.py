@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import minimum_filter
 
+from warpsar.compare.modelled import known_by_rays
 from warpsar.compare.observation import Observation
 from warpsar.diagnosis.models.change import as_declared
-from warpsar.diagnosis.models.fit_setup import FitSetup
+from warpsar.diagnosis.models.fit_setup import FitSetup, image_of
 from warpsar.effects.registry import get
 from warpsar.learning.optimise import FLAT, FitState, begin, levenberg_marquardt
 from warpsar.learning.problem import FitProblem
@@ -225,14 +226,18 @@ def refit_as(setup: FitSetup, scene: Scene, declared: Scene | None = None) -> Fi
     return _fit(setup, problem, [problem.x0, *further], quick=True)
 
 
-def narrow(setup: FitSetup, fitted: Fitted) -> tuple[FitSetup, Fitted]:
+def narrow(setup: FitSetup, other: FitSetup, fitted: Fitted) -> tuple[FitSetup, Fitted]:
     """The pixels that are lit, with all their neighbours, by `fitted` too, and the model fitted to those.
 
     An effect that moves light leaves pixels at its edge where the model's share of light is next to nothing, and
-    whatever they measure would look like one more effect. All models of a turn see the same pixels.
+    whatever they measure would look like one more effect. Ways over several surfaces get few rays: pixels that they
+    leave open beside speckle are left out, by `other`, which has the second set. All models of a turn see the same
+    pixels.
     """
     fitted.problem.modelled(fitted.x)
     narrowed = narrowed_to(setup, fitted.problem)
+    if any(get(name).follows_rays for name in fitted.scene.effects):
+        narrowed = _known_by_rays(narrowed, other, fitted)
     if narrowed is setup:
         return setup, fitted
     return narrowed, refit_as(replace(narrowed, bound=fitted.problem.misfit.bound), fitted.scene)
@@ -247,10 +252,28 @@ def narrowed_to(setup: FitSetup, problem: FitProblem) -> FitSetup:
             inner = once.decide(minimum_filter(lit, size=3, mode="constant")) > 0
             kept = replace(seen, interior=seen.interior & inner, silent=seen.silent & inner)
             observations.setdefault(view.view.name, []).append(kept)
+    return _with(setup, observations)
+
+
+def _with(setup: FitSetup, observations: Mapping[str, list[Observation]]) -> FitSetup:
+    """The bench with other observations; the same where the pixels are."""
     pairs = [(a, b) for name in observations for a, b in zip(observations[name], setup.observations[name], strict=True)]
     if all((a.interior == b.interior).all() for a, b in pairs):
         return setup
     return replace(setup, observations=observations)
+
+
+def _known_by_rays(setup: FitSetup, other: FitSetup, fitted: Fitted) -> FitSetup:
+    """The bench with those of its pixels that two sets of rays know well enough; the model, of the first, has run."""
+    again = replace(other, observations=setup.observations).problem(fitted.problem.scene)
+    again.modelled(fitted.x)
+    observations: dict[str, list[Observation]] = {}
+    for one, two in zip(fitted.problem.views, again.views, strict=True):
+        for seen in setup.observations[one.view.name]:
+            image, other_image = (image_of(each, seen.polarization) for each in (one, two))
+            told = once.decide(known_by_rays(image, other_image, seen.looks)) > 0
+            observations.setdefault(one.view.name, []).append(replace(seen, interior=seen.interior & told))
+    return _with(setup, observations)
 
 
 def fitted_at(setup: FitSetup, problem: FitProblem, x: np.ndarray, loss: float, iterations: int) -> Fitted:

@@ -82,10 +82,10 @@ class Search:
         self._asked: set[str] = set()  # of the model's additions: those that hold beside all the others
         self._posed: FoundPoses | None = None  # changed objects of the final model
 
-    def run(self) -> None:
-        """Search to the end, or until the time is over: then what was found so far stands."""
+    def run(self, left_s: float | None) -> None:
+        """Search to the end, or until the time that is left is over: then what was found so far stands."""
         try:
-            with deadline(self.options.time_limit_s):
+            with deadline(left_s):
                 self._search()
         except TimeUp:
             self._ended_early()
@@ -136,7 +136,7 @@ class Search:
         if not candidate.refused:
             last.added, last.fitted = candidate.effect, fitted
             self._times[candidate.effect] += 1
-            self._setup, self._base = narrow(self._setup, fitted)
+            self._setup, self._base = narrow(self._setup, self._other, fitted)
             self._forward()
 
     def _left(self, scene: Scene) -> bool:
@@ -219,7 +219,7 @@ class Search:
             if changes(self.scene, turn.fitted.scene):
                 self._setup, self._base = on_its_ground(self._setup, self._other, turn.fitted)
             else:
-                self._setup, self._base = narrow(self._setup, turn.fitted)
+                self._setup, self._base = narrow(self._setup, self._other, turn.fitted)
 
     def _turn(self) -> Turn:
         """Score every effect that is not in the model, fit the best, and add the likeliest. Drop those of earlier turns

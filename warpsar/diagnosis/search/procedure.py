@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from dataclasses import replace
 from functools import partial
 
@@ -41,6 +42,7 @@ def diagnose_scene(
     What the `record` holds of an earlier part of the run is not done again. Raises InputError for scenes without
     measured training views, and for a limit of time on several processes.
     """
+    begun = time.monotonic()
     once.join(device)
     if once.processes() > 1 and options.time_limit_s is not None:
         raise InputError("--time-limit: found several processes; allowed with one, whose clock alone decides")
@@ -75,7 +77,8 @@ def diagnose_scene(
         setup = with_looks(setup, asked)
         declared = refit_as(setup, with_speckle(declared.scene, speckle))
     search = Search(asked, setup, other.rays, declared, options, record, bar.update, judge)
-    search.run()
+    limit = options.time_limit_s
+    search.run(None if limit is None else limit - (time.monotonic() - begun))
     bar.close()
     final, rivals = search.final(), search.rivals()
     objects = search.objects(final)

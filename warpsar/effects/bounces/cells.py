@@ -182,18 +182,25 @@ def kinds_of(normal: NDArray[np.float64], other: NDArray[Any]) -> NDArray[np.int
 
 
 def samples_of(
-    fields: SharedFields, kinds: NDArray[np.int64], columns: int, pixel_area_m2: float, device: wp.Device
+    fields: SharedFields,
+    kinds: NDArray[np.int64],
+    mirrors: NDArray[np.float64],
+    columns: int,
+    pixel_area_m2: float,
+    device: wp.Device,
 ) -> tuple[dict[str, NDArray[Any]], CellSamples]:
     """Paths by sample and kinds of their faces (`kinds_of`), as arrays of `PathRecords`, and their samples.
 
     Faces of one kind answer alike, so the fields of their tubes are added up. The surface is that where the strongest
-    of them lies. `columns` of the bins.
+    of them lies. `mirrors`: about how much of a field each face sends on, by number. `columns` of the bins.
 
     A sample's power falls where the tubes lie from which it comes, not into the sample's own place: an isolated body
-    keeps its pixel, and its power does not depend on where it lies between the samples.
+    keeps its pixel, and its power does not depend on where it lies between the samples. Two corners in one sample share
+    its power as their `mirrors` say: one of metal and one of soil do not have half of it each.
     """
     records, group, place, field = fields.records, fields.group, fields.place, fields.field
-    power = (field.real**2 + field.imag**2).astype(float)
+    sent = field * np.append(1.0, mirrors)[records["faces"]].prod(axis=1)[group]
+    power = np.abs(sent) ** 2
     bins = records["bin"][group]
     _, met = np.unique(np.append(0, kinds)[records["faces"]], axis=0, return_inverse=True)
     ways = int(met.max(initial=0)) + 1
@@ -215,7 +222,7 @@ def samples_of(
         "point": np.stack(place_m, axis=1)[sample].astype(np.float32),
         "ray": np.zeros((n, 3), np.float32),
     }
-    owner, bin_, share = _falls(sample[path], path, bins, columns, field)
+    owner, bin_, share = _falls(sample[path], path, bins, columns, sent)
     count = np.diff(first)[owner]
     entry = np.repeat(first[owner] - np.append(0, np.cumsum(count)[:-1]), count) + np.arange(count.sum())
     bin_, share = np.repeat(bin_, count), np.repeat(share, count) * 4.0 * np.pi / pixel_area_m2
@@ -345,7 +352,7 @@ def errors_of(fields: SharedFields, pixel_area_m2: float) -> tuple[NDArray[np.fl
 
 
 def _falls(
-    sample: NDArray[Any], path: NDArray[Any], bins: NDArray[Any], columns: int, field: NDArray[np.complex64]
+    sample: NDArray[Any], path: NDArray[Any], bins: NDArray[Any], columns: int, field: NDArray[np.complex128]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
     """Into which bins the power of each sample falls: samples in order, bins, and shares whose sum is 1 by sample.
 
