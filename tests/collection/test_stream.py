@@ -144,7 +144,7 @@ def town() -> warpsar.Scene:
         np.concatenate([ground.vertices, block.vertices]), np.concatenate([ground.faces, block.faces + 4])
     )
     rough = {"terms": ("rough",), "polarizations": ("HH", "HV")}
-    return scene(mesh, radar=rough, shape=(70, 90), spacing=(0.25, 0.25), collection={"focus": "direct"})
+    return scene(mesh, radar=rough, shape=(70, 90), spacing=(0.25, 0.25), collection={"focus": "direct", "scatterers_per_cell": 16.0})
 
 
 def test_tiles_are_the_whole_image(device: str) -> None:
