@@ -204,7 +204,7 @@ def batch(device: wp.Device, small: bool) -> dict[str, Any]:
     views = [warpsar.View(name=f"v{i:02d}", azimuth_deg=360.0 * i / number, incidence_deg=45.0) for i in range(number)]
     radar = scene.radar.model_copy(update={"terms": ("rough",), "frequency_hz": 9.6e9})
     cell = max(scene.grid.spacing_m) * 1.2
-    table = Collection(slant_range_m=10e3, resolution_m=(cell, cell), scatterers_per_cell=10.0, focus="direct")
+    table = Collection(slant_range_m=10e3, resolution_m=(cell, cell), focus="direct")
     scene = replace(scene, radar=radar, views=views, collection=table)
     plans = [plan_of(scene, view, device) for view in views]
 

@@ -16,6 +16,8 @@ from warpsar.kernels.coherent.rough import Scatterer
 GOLDEN = wp.constant(wp.uint64(0x9E3779B97F4A7C15))
 DRAWS = wp.constant(4)
 """Of a scatterer: its place, and three complex Gaussian numbers."""
+EVERY = wp.constant(64)
+"""Scatterers between two of which it is known in which patch they lie."""
 _SCALE = wp.constant(wp.float64(2.0**-32))
 _TWO_PI = wp.constant(6.283185307179586)
 
@@ -97,6 +99,7 @@ def place_kernel(
     patches: Patches,
     patch_in: wp.array[int],  # those that are wanted
     end_in: wp.array[wp.int64],  # how many scatterers there are up to the end of each of them
+    reached_in: wp.array[int],  # the patch of every `EVERY`-th scatterer
     first: wp.int64,  # the first scatterer that is wanted, counted over these patches
     area: wp.float64,
     # Out:
@@ -107,7 +110,9 @@ def place_kernel(
     """Scatterers from `first` on."""
     i = wp.tid()
     at = first + wp.int64(i)
-    chosen = wp.lower_bound(end_in, at + wp.int64(1))
+    chosen = reached_in[int(at / wp.int64(EVERY))]
+    while end_in[chosen] <= at:
+        chosen += 1
     p = patch_in[chosen]
     begin = wp.int64(0)
     if chosen > 0:

@@ -162,13 +162,15 @@ class PatchesOnDevice:
     """Of the wanted ones, (n,), ascending."""
     ends: NDArray[np.int64]
     """How many scatterers there are up to the end of each of them."""
-    on_device: tuple[wp.array, wp.array]
-    """`index` and `ends`."""
+    on_device: tuple[wp.array, wp.array, wp.array]
+    """`index` and `ends`, and of every `placing.EVERY`-th scatterer the place in them."""
 
     @classmethod
     def of(cls, patches: RoughPatches, arrays: Any, index: NDArray[np.int64], device: wp.Device) -> PatchesOnDevice:
         ends = np.cumsum(patches.count[index])
-        there = upload(index.astype(np.int32), int, device), upload(ends, wp.int64, device)
+        blocks = -(-ends // placing.EVERY)
+        reached = np.cumsum(np.bincount(blocks), dtype=np.int32)  # how many patches end before
+        there = upload(index.astype(np.int32), int, device), upload(ends, wp.int64, device), upload(reached, int, device)
         return cls(patches, arrays, index, ends, there)
 
     @property
