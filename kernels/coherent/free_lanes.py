@@ -1,8 +1,8 @@
 """Which points the radar sees, on the CPU eight at once.
 
 Neighbouring points look for shadows along much the same ray. So eight of them go down the tree of the mesh together,
-and meet boxes and triangles in vectors. The tests are those of Warp's `mesh_query_ray_anyhit`: slabs, and Woop, Benthin,
-Wald (JCGT 2(1), 2013). Where a triangle's edge is met to the last bit, Warp's own test decides.
+and meet boxes and triangles in vectors. The tests are those of Warp's `mesh_query_ray_anyhit`: slabs, and Woop,
+Benthin, Wald (JCGT 2(1), 2013). Where a triangle's edge is met to the last bit, Warp's own test decides.
 """
 
 import warp as wp

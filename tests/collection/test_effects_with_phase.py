@@ -224,8 +224,8 @@ def across_the_edge(pixels: int, moved: tuple[int, int]) -> tuple[tuple[slice, s
 )
 @pytest.mark.parametrize("name", SHIFTS)
 def test_a_shift_moves_power_as_in_the_power_image(name: str, product: Product, pixels: int, draws: int) -> None:
-    """The sensor is 1,000 km away. From 10 km a phase history sees what is moved by 3 m from another side: its coherence
-    with what it was is 0.98, so 128 looks of the strip would differ by 0.7 % in one standard error."""
+    """The sensor is 1,000 km away. From 10 km a phase history sees what is moved by 3 m from another side: its
+    coherence with what it was is 0.98, so 128 looks of the strip would differ by 0.7 % in one standard error."""
     table, moved = SHIFTS[name]
     pair = Pair.of(product, name, table, pixels=pixels, draws=draws, away_m=1e6)
     after, before = across_the_edge(pixels, moved)

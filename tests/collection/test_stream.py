@@ -144,7 +144,8 @@ def town() -> warpsar.Scene:
         np.concatenate([ground.vertices, block.vertices]), np.concatenate([ground.faces, block.faces + 4])
     )
     rough = {"terms": ("rough",), "polarizations": ("HH", "HV")}
-    return scene(mesh, radar=rough, shape=(70, 90), spacing=(0.25, 0.25), collection={"focus": "direct", "scatterers_per_cell": 16.0})
+    table = {"focus": "direct", "scatterers_per_cell": 16.0}
+    return scene(mesh, radar=rough, shape=(70, 90), spacing=(0.25, 0.25), collection=table)
 
 
 def test_tiles_are_the_whole_image(device: str) -> None:
@@ -253,7 +254,7 @@ def test_scatterers_share_a_face_evenly() -> None:
 
 
 def test_neighbours_share_what_is_left_over() -> None:
-    """Faces that are smaller than the share of one scatterer: a hundred of them together have as many as they should."""
+    """Faces that are smaller than the share of one scatterer: a hundred together have as many as they should."""
     mesh = trimesh.creation.box((20.0, 20.0, 0.0)).subdivide().subdivide().subdivide().subdivide().subdivide()
     made = scene(warpsar.Mesh.of(mesh.vertices, mesh.faces), radar={"terms": ("rough",)})
     patches = RoughPatches.of(*shape_and_materials(made), 0.5, 3)

@@ -170,8 +170,8 @@ class PatchesOnDevice:
         ends = np.cumsum(patches.count[index])
         blocks = -(-ends // placing.EVERY)
         reached = np.cumsum(np.bincount(blocks), dtype=np.int32)  # how many patches end before
-        there = upload(index.astype(np.int32), int, device), upload(ends, wp.int64, device), upload(reached, int, device)
-        return cls(patches, arrays, index, ends, there)
+        there = upload(index.astype(np.int32), int, device), upload(ends, wp.int64, device)
+        return cls(patches, arrays, index, ends, (*there, upload(reached, int, device)))
 
     @property
     def device(self) -> wp.Device:
