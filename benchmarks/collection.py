@@ -1,6 +1,6 @@
 """How fast collections are: the deposit alone, a town as one collection, focusing, and batches of complex images.
 
-    python benchmarks/collection.py [--device cuda] [--only deposit town focus batch copy large] [--small]
+    python benchmarks/collection.py [--device cuda] [--only deposit town focus batch copy large history] [--small]
     [--out collection.json] [--write]
 
 `deposit`: 10^6 scatterers x 1,000 pulses, 2,048 frequencies. `town`: the town of 900,482 faces as one collection of
@@ -8,7 +8,8 @@
 pulses onto 1,024 x 1,024 pixels, and the same with torchbp where it can be imported. `batch`: direct complex images of
 several azimuths, alone, with NPZ and with SICD files, beside images of beta0 of the same scene, alone and with EXR.
 `large`: a direct complex image of 4,096 x 4,096 pixels of 0.5 m of a town of 2 km, with what the forecast says of it;
-on a CPU its middle of 512 x 512 pixels, and the forecast of the whole. `copy`: bytes that a copy moves in a second, and
+on a CPU its middle of 512 x 512 pixels, and the forecast of the whole. `history`: the phase history of the same town,
+and its image. `copy`: bytes that a copy moves in a second, and
 the share of it that the deposit reads and adds. What --out holds already is not measured again. `--small` is a trial of
 a few seconds on a CPU.
 """
@@ -203,7 +204,7 @@ def batch(device: wp.Device, small: bool) -> dict[str, Any]:
     views = [warpsar.View(name=f"v{i:02d}", azimuth_deg=360.0 * i / number, incidence_deg=45.0) for i in range(number)]
     radar = scene.radar.model_copy(update={"terms": ("rough",), "frequency_hz": 9.6e9})
     cell = max(scene.grid.spacing_m) * 1.2
-    table = Collection(slant_range_m=10e3, resolution_m=(cell, cell), scatterers_per_cell=10.0, focus="direct")
+    table = Collection(slant_range_m=10e3, resolution_m=(cell, cell), focus="direct")
     scene = replace(scene, radar=radar, views=views, collection=table)
     plans = [plan_of(scene, view, device) for view in views]
 
@@ -232,8 +233,8 @@ def batch(device: wp.Device, small: bool) -> dict[str, Any]:
                 write_exr(Path(folder) / f"{one.name}.exr", one.beta0, {})
 
         works = {"body": body, "slc": images, "npz": arrays, "sicd": standard, "beta0": powers, "exr": exr}
-        if find_spec("sarkit") is None:
-            print("batch: SICD skipped: sarkit is not installed", file=sys.stderr)
+        if find_spec("sarkit") is None or find_spec("jbpy") is None:
+            print("batch: SICD skipped: sarkit, or its jbpy, is not installed", file=sys.stderr)
             del works["sicd"]
         return {
             "views": number,
@@ -287,6 +288,32 @@ def large(device: wp.Device, small: bool) -> dict[str, Any]:
     }
 
 
+def wide_history(device: wp.Device, small: bool) -> dict[str, Any]:
+    """The phase history of the same town, what the forecast says of it, and the image that it is focused to."""
+    scene = wide_town(64 if small else 4096)
+    assert scene.collection is not None
+    scene = replace(scene, collection=scene.collection.model_copy(update={"focus": "backprojection"}))
+    if small:
+        scene = replace(scene, mesh=replace(scene.mesh, vertices=scene.mesh.vertices * [0.01, 0.01, 1.0]))
+    plans = [plan_of(scene, view, device) for view in scene.views]
+    room = room_of(scene, plans, "phase-history", device, None)
+    told = forecast(Bodies(scene, plans, device, 0, room.together, room.tile_bytes), plans, "phase-history")
+    started, cpu = time.perf_counter(), time.process_time()
+    made = warpsar.phase_history(scene, device=device.alias)[0]
+    spent, cpu_s = time.perf_counter() - started, time.process_time() - cpu
+    started = time.perf_counter()
+    focused(made, scene.grid, device)
+    return {
+        "pulses": len(plans[0].track),
+        "frequencies": plans[0].frequencies,
+        "scatterers": made.scatterers,
+        "history_s": spent,
+        "history_cpu_s": cpu_s,
+        "focus_s": time.perf_counter() - started,
+        "forecast": None if told is None else {"seconds": told.seconds, "gib": told.gib, "scatterers": told.scatterers},
+    }
+
+
 def copy(device: wp.Device, small: bool) -> dict[str, Any]:
     """Bytes read and written by a copy of 1 GiB, in a second."""
     count = 2**20 if small else 2**28
@@ -295,7 +322,8 @@ def copy(device: wp.Device, small: bool) -> dict[str, Any]:
     return {**found, "bytes_per_s": 8 * count / found["best_s"]}
 
 
-WORK = {"copy": copy, "deposit": deposit, "town": town, "focus": focus, "batch": batch, "large": large}
+WORK = {"copy": copy, "deposit": deposit, "town": town, "focus": focus, "batch": batch, "large": large,
+        "history": wide_history}  # fmt: skip
 
 
 def written(found: dict[str, Any]) -> list[tuple[str, str]]:
@@ -343,6 +371,17 @@ def written(found: dict[str, Any]) -> list[tuple[str, str]]:
             (
                 f"a direct complex image of a town of 2 km, {size}",
                 "; ".join(filter(None, [f"{spent}, {one['scatterers']:,} scatterers", more, said])),
+            )
+        )
+    if "history" in found:
+        one = found["history"]
+        said = one["forecast"]
+        told = "" if said is None else f"; forecast {said['seconds']:.3g} s, {said['gib']:.2g} GiB"
+        rows.append(
+            (
+                f"its phase history, {one['pulses']:,} pulses x {one['frequencies']:,} frequencies",
+                f"{one['history_s']:.3g} s ({one['history_cpu_s']:.3g} s of the processor), {one['scatterers']:,} "
+                f"scatterers as all places of the track see them; focused in {one['focus_s']:.3g} s{told}",
             )
         )
     return rows

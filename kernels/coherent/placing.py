@@ -2,6 +2,11 @@
 
 So any part of a surface can be made by itself, on any device, and is the same surface. The numbers are hashed by
 SplitMix64 (Steele, Lea, Flood, OOPSLA 2014).
+
+The scatterers of a patch share its area evenly: its triangle is halved again and again (newest vertex bisection:
+Mitchell, ACM TOMS 15(4), 1989), and each scatterer has a stretch of the halves in their order. It lies at random
+in its stretch, so any place is as likely as any other. Independent places would leave holes and heaps: the local mean
+power varies by 2.8 % (variance) with four scatterers in a cell, and by 2.5 % with 16 independent ones.
 """
 
 import warp as wp
@@ -11,6 +16,8 @@ from warpsar.kernels.coherent.rough import Scatterer
 GOLDEN = wp.constant(wp.uint64(0x9E3779B97F4A7C15))
 DRAWS = wp.constant(4)
 """Of a scatterer: its place, and three complex Gaussian numbers."""
+EVERY = wp.constant(64)
+"""Scatterers between two of which it is known in which patch they lie."""
 _SCALE = wp.constant(wp.float64(2.0**-32))
 _TWO_PI = wp.constant(6.283185307179586)
 
@@ -47,6 +54,36 @@ def uniform_pair(bits: wp.uint64) -> wp.vec2d:
 
 
 @wp.func
+def shared_place(within: wp.int64, count: wp.int64, seed: wp.uint64, number: wp.uint64) -> wp.vec2d:
+    """Where scatterer `within` of the `count` of a triangle lies: its shares of the sides from the first corner."""
+    pair = uniform_pair(hashed(seed, number))
+    at = (wp.float64(within) + pair[0]) / wp.float64(count)
+    # The first corner is the newest one. The side across from it is halved, and its middle is the newest one then.
+    p = wp.vec2d(wp.float64(0.0), wp.float64(0.0))
+    q = wp.vec2d(wp.float64(1.0), wp.float64(0.0))
+    r = wp.vec2d(wp.float64(0.0), wp.float64(1.0))
+    halves = wp.int64(1)
+    while halves < count:
+        middle = wp.float64(0.5) * (q + r)
+        at = wp.float64(2.0) * at
+        if at < wp.float64(1.0):
+            r = p
+        else:
+            at -= wp.float64(1.0)
+            q = r
+            r = p
+        p = middle
+        halves += halves
+    # `at` is even within the last half.
+    a = at
+    b = pair[1]
+    if a + b > wp.float64(1.0):
+        a = wp.float64(1.0) - a
+        b = wp.float64(1.0) - b
+    return p + a * (q - p) + b * (r - p)
+
+
+@wp.func
 def gaussian_of(bits: wp.uint64) -> wp.vec2d:
     """A complex Gaussian number of unit power (Box and Muller 1958)."""
     pair = uniform_pair(bits)
@@ -62,6 +99,7 @@ def place_kernel(
     patches: Patches,
     patch_in: wp.array[int],  # those that are wanted
     end_in: wp.array[wp.int64],  # how many scatterers there are up to the end of each of them
+    reached_in: wp.array[int],  # the patch of every `EVERY`-th scatterer
     first: wp.int64,  # the first scatterer that is wanted, counted over these patches
     area: wp.float64,
     # Out:
@@ -72,18 +110,17 @@ def place_kernel(
     """Scatterers from `first` on."""
     i = wp.tid()
     at = first + wp.int64(i)
-    chosen = wp.lower_bound(end_in, at + wp.int64(1))
+    chosen = reached_in[int(at / wp.int64(EVERY))]
+    while end_in[chosen] <= at:
+        chosen += 1
     p = patch_in[chosen]
-    within = at
+    begin = wp.int64(0)
     if chosen > 0:
-        within = at - end_in[chosen - 1]
-    number = wp.uint64(patches.number[p] + within) * wp.uint64(DRAWS)
-    pair = uniform_pair(hashed(seed, number))
-    a = pair[0]
-    b = pair[1]
-    if a + b > wp.float64(1.0):
-        a = wp.float64(1.0) - a
-        b = wp.float64(1.0) - b
+        begin = end_in[chosen - 1]
+    number = wp.uint64(patches.number[p] + at - begin) * wp.uint64(DRAWS)
+    share = shared_place(at - begin, end_in[chosen] - begin, seed, number)
+    a = share[0]
+    b = share[1]
     made = Scatterer()
     side = patches.first[p]
     other = patches.second[p]

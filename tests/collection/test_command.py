@@ -79,7 +79,7 @@ def test_quiet_is_for_all_products(path: Path, product: str) -> None:
 
 def test_too_many_scatterers_are_placed_in_parts(path: Path) -> None:
     """A surface may have more than can be held at once; only all at once are refused, with their own spacing."""
-    made = scene(field(4e3, 4e3), collection={"resolution_m": (1.0, 1.0)}, shape=(16, 16), spacing=(0.5, 0.5))
+    made = scene(field(6e3, 6e3), collection={"resolution_m": (1.0, 1.0)}, shape=(16, 16), spacing=(0.5, 0.5))
     (plan,) = plans_of(made, wp.get_device("cpu"))
     body = body_of(made, spacing_m(plan), wp.get_device("cpu"), 0)
     assert len(body.patches) > 1e8

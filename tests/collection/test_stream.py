@@ -7,12 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+import warp as wp
 from click.testing import CliRunner
 from collected_scenes import field, scene, square_trihedral
 
 import warpsar
 from warpsar.cli.main import main
+from warpsar.coherent.body import CoherentBody
+from warpsar.coherent.patches import RoughPatches
+from warpsar.coherent.shape import MeshShape, faces_alone
 from warpsar.collection import forecast as forecasting
+from warpsar.collection import places
 from warpsar.collection.bodies import Bodies
 from warpsar.collection.command import wide_tubes
 from warpsar.collection.direct import SAMPLE_BYTES, DirectImage, direct, direct_of_rough
@@ -21,6 +26,7 @@ from warpsar.collection.history import phase_history
 from warpsar.collection.places import COARSE, GROUP, TubeTally
 from warpsar.collection.plan import plan_of
 from warpsar.collection.scatterers import TOGETHER, Stream
+from warpsar.kernels.coherent.tubes import TubeRadar, free_kernel
 from warpsar.runtime import devices
 
 ALL = {"terms": ("single", "multibounce", "edges", "rough"), "max_bounces": 3}
@@ -138,7 +144,8 @@ def town() -> warpsar.Scene:
         np.concatenate([ground.vertices, block.vertices]), np.concatenate([ground.faces, block.faces + 4])
     )
     rough = {"terms": ("rough",), "polarizations": ("HH", "HV")}
-    return scene(mesh, radar=rough, shape=(70, 90), spacing=(0.25, 0.25), collection={"focus": "direct"})
+    table = {"focus": "direct", "scatterers_per_cell": 16.0}
+    return scene(mesh, radar=rough, shape=(70, 90), spacing=(0.25, 0.25), collection=table)
 
 
 def test_tiles_are_the_whole_image(device: str) -> None:
@@ -228,3 +235,69 @@ def test_rough_faces_beside_tubes() -> None:
     alone = stream(made, TOGETHER, once=True)
     rough = direct_of_rough(Bodies(made, [alone.plan], alone.body.device, 0), alone.plan).images["HH"]
     assert np.abs(rough).max() > 1e-3 * np.abs(whole).max()
+
+
+def test_scatterers_share_a_face_evenly() -> None:
+    """Blocks of a square with 64 scatterers each: independent places would differ by 64 in their variance. Over draws
+    each sixteenth of a scatterer's share is as likely as any other: 4 standard errors."""
+    made = scene(field(32.0, 32.0), collection={"resolution_m": (1.0, 1.0)}, radar={"terms": ("rough",)})
+    device = wp.get_device("cpu")
+    fine = np.zeros((32, 32))
+    for seed in range(40):
+        patches = RoughPatches.of(*shape_and_materials(made), 0.5, seed)
+        where = patches.on(device).placed(slice(0, len(patches))).points.numpy()
+        blocks = np.histogram2d(where[:, 0], where[:, 1], 8, [[-16.0, 16.0]] * 2)[0]
+        assert blocks.mean() == pytest.approx(64.0, abs=0.1)
+        assert blocks.var() < 0.25 * 64.0
+        fine += np.histogram2d(where[:, 0], where[:, 1], 32, [[-16.0, 16.0]] * 2)[0]
+    assert abs(fine / fine.mean() - 1.0).max() < 4.0 / np.sqrt(fine.mean())
+
+
+def test_neighbours_share_what_is_left_over() -> None:
+    """Faces that are smaller than the share of one scatterer: a hundred together have as many as they should."""
+    mesh = trimesh.creation.box((20.0, 20.0, 0.0)).subdivide().subdivide().subdivide().subdivide().subdivide()
+    made = scene(warpsar.Mesh.of(mesh.vertices, mesh.faces), radar={"terms": ("rough",)})
+    patches = RoughPatches.of(*shape_and_materials(made), 0.5, 3)
+    assert patches.count.max() == 1
+    shape = shape_and_materials(made)[0]
+    corners = shape.vertices[shape.faces]
+    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    had = np.bincount(patches.face, patches.count, len(area))
+    for first in range(0, len(area) - 100, 100):
+        assert had[first : first + 100].sum() == pytest.approx(area[first : first + 100].sum() / 0.25, abs=1.0)
+
+
+@pytest.mark.parametrize("place", [None, (3e3, -2e3, 4e3)], ids=["plane wave", "near"])
+def test_eight_points_look_for_shadows_as_one_does(place: tuple[float, float, float] | None) -> None:
+    """Against Warp's query of a single ray, on a heap of boxes that hide each other, to the last point."""
+    random = np.random.default_rng(2)
+    heap = [trimesh.creation.box(random.uniform(0.5, 6.0, 3), random_turn(random)) for _ in range(40)]
+    mesh = trimesh.util.concatenate(heap)
+    made = scene(warpsar.Mesh.of(mesh.vertices, mesh.faces), radar={"terms": ("rough",)})
+    device = wp.get_device("cpu")
+    body = CoherentBody.of(made, device, spacing_m=0.3, seed=0, rough_only=True)
+    worker = places.worker_of(body, 200.0, ("rough",), 1, 1.0)
+    radar = places.sight(body, np.array(place or (1.0, 2.0, 3.0)))[1]
+    if place is None:
+        single = radar.numpy()
+        single["near"] = 0
+        radar = wp.array(single, dtype=TubeRadar, device=device)
+    placed = body.patches.on(device).placed(slice(0, len(body.patches)))
+    for both_sides in (True, False):
+        found = worker.free(radar, placed.points, placed.normals, both_sides).numpy()
+        alone = wp.empty(found.shape, dtype=wp.uint8, device=device)
+        inputs = [body.rays, radar, placed.points, placed.normals, int(both_sides)]
+        wp.launch(free_kernel, found.shape, inputs=inputs, outputs=[alone], device=device)
+        assert np.array_equal(found, alone.numpy())
+        assert 0.1 < found.mean() < 0.9
+
+
+def random_turn(random: np.random.Generator) -> np.ndarray:
+    turn = trimesh.transformations.random_rotation_matrix(random.random(3))
+    turn[:3, 3] = random.uniform(-10.0, 10.0, 3)
+    return np.asarray(turn)
+
+
+def shape_and_materials(made: warpsar.Scene) -> tuple[MeshShape, np.ndarray, tuple[warpsar.Material, ...]]:
+    shape = faces_alone(made.mesh.vertices, made.mesh.faces)
+    return shape, made.mesh.face_material, tuple(made.materials[name] for name in made.mesh.materials)

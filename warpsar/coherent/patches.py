@@ -80,15 +80,18 @@ class RoughPatches:
         spacing_m: float,
         seed: int,
     ) -> RoughPatches:
-        """Scatterers at about `spacing_m`, each at a random place of its patch."""
+        """Scatterers at about `spacing_m`, each at a random place of its share of a patch."""
         is_rough = np.array([material.rms_height_m != 0.0 for material in materials])
         faces = np.flatnonzero(is_rough[face_material])
         kind = np.array([kind_of(material) for material in materials])
         faces = faces[np.argsort(kind[face_material[faces]], kind="stable")]
-        of, start, first, second = _cut(shape.vertices[shape.faces[faces]], min(SIDE * spacing_m, SIDE_M))
+        corners = _longest_across(shape.vertices[shape.faces[faces]])
+        of, start, first, second = _cut(corners, min(SIDE * spacing_m, SIDE_M))
         wanted = 0.5 * np.linalg.norm(np.cross(first, second), axis=1) / spacing_m**2
-        # The expected number is exact, so small faces get one now and then, with the area of a whole cell.
-        count = np.floor(wanted + np.random.default_rng(seed).random(len(of))).astype(np.int64)
+        # The expected number is exact, so small faces get one now and then, with the area of a whole cell. Neighbours
+        # in the mesh share what is left over: where one has got one, the next has not.
+        upto = np.floor(np.cumsum(wanted) + np.random.default_rng(seed).random()).astype(np.int64)
+        count = np.diff(upto, prepend=0)
         own = face_material[faces][of]
         found = cls(
             start, first, second, faces[of], own, kind[own], count, np.cumsum(count) - count, spacing_m, seed
@@ -159,14 +162,16 @@ class PatchesOnDevice:
     """Of the wanted ones, (n,), ascending."""
     ends: NDArray[np.int64]
     """How many scatterers there are up to the end of each of them."""
-    on_device: tuple[wp.array, wp.array]
-    """`index` and `ends`."""
+    on_device: tuple[wp.array, wp.array, wp.array]
+    """`index` and `ends`, and of every `placing.EVERY`-th scatterer the place in them."""
 
     @classmethod
     def of(cls, patches: RoughPatches, arrays: Any, index: NDArray[np.int64], device: wp.Device) -> PatchesOnDevice:
         ends = np.cumsum(patches.count[index])
+        blocks = -(-ends // placing.EVERY)
+        reached = np.cumsum(np.bincount(blocks), dtype=np.int32)  # how many patches end before
         there = upload(index.astype(np.int32), int, device), upload(ends, wp.int64, device)
-        return cls(patches, arrays, index, ends, there)
+        return cls(patches, arrays, index, ends, (*there, upload(reached, int, device)))
 
     @property
     def device(self) -> wp.Device:
@@ -204,6 +209,14 @@ class PatchesOnDevice:
             if low < high:
                 groups.append(ScattererGroup(kind, slice(low, high), crossed[low:high] if kind else None))
         return PlacedScatterers(made, site, tuple(groups))
+
+
+def _longest_across(corners: F64) -> F64:
+    """Triangles (n, 3, 3) that begin with the corner across from their longest side."""
+    sides = ((corners[:, [1, 2, 0]] - corners) ** 2).sum(axis=2)
+    first = (sides.argmax(axis=1) + 2) % 3
+    turned: F64 = np.take_along_axis(corners, ((first[:, None] + np.arange(3)) % 3)[:, :, None], axis=1)
+    return turned
 
 
 def _cut(corners: F64, longest_m: float) -> tuple[NDArray[np.int64], F64, F64, F64]:

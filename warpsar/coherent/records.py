@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from threading import Lock
 from typing import Any
 
@@ -29,16 +30,19 @@ def upload(values: Any, dtype: Any, device: wp.Device) -> Any:
 
 def field(array: wp.array, name: str, dtype: Any) -> wp.array:
     """One field of an array of structs, (n,), where it lies: no copy."""
-    kind: Any = array.dtype
+    at = (array.ptr or 0) + _offset(array.dtype, name)
+    found: Any = wp.array(ptr=at, dtype=dtype, shape=array.shape, strides=array.strides, device=array.device)
+    found._whole = array  # which must live as long
+    return found
+
+
+@cache
+def _offset(kind: Any, name: str) -> int:
+    """Of a field from the begin of its struct [bytes]."""
     with _parser:
         fields = np.dtype(kind.numpy_dtype()).fields
     assert fields is not None
-    offset = fields[name][1]
-    found: Any = wp.array(
-        ptr=(array.ptr or 0) + offset, dtype=dtype, shape=array.shape, strides=array.strides, device=array.device
-    )
-    found._whole = array  # which must live as long
-    return found
+    return int(fields[name][1])
 
 
 def host(array: wp.array) -> Any:

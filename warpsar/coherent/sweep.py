@@ -17,7 +17,7 @@ from warpsar.coherent.directions import Directions, radar_records
 from warpsar.coherent.rays import CellGrid
 from warpsar.coherent.records import upload
 from warpsar.coherent.traced import LEVELS, MOST_BOUNCES, Sums, Tracer, over_lanes
-from warpsar.kernels.coherent import cells, edges, radiate, rough, transmission, tubes
+from warpsar.kernels.coherent import cells, edges, free_lanes, radiate, rough, transmission, tubes
 from warpsar.kernels.coherent.rough_models import rough_kernel
 from warpsar.runtime import threads
 from warpsar.world.frame import SPEED_OF_LIGHT
@@ -206,9 +206,12 @@ class Worker:
         )
 
     def free(self, radars: wp.array, points: wp.array, normals: wp.array, both_sides: bool) -> wp.array:
-        seen = wp.empty((radars.shape[0], points.shape[0]), dtype=wp.uint8, device=self.body.device)
+        """Which points each of the radars sees, (radars, points)."""
+        device, (views, count) = self.body.device, (radars.shape[0], points.shape[0])
+        seen = wp.empty((views, count), dtype=wp.uint8, device=device)
         inputs = [self.body.rays, radars, points, normals, int(both_sides)]
-        wp.launch(tubes.free_kernel, seen.shape, inputs=inputs, outputs=[seen], device=self.body.device)
+        kernel, each = (free_lanes.free_kernel, free_lanes.LANES) if device.is_cpu else (tubes.free_kernel, 1)
+        wp.launch(kernel, (views, -(-count // each)), inputs=inputs, outputs=[seen], device=device)
         return seen
 
     def lit_regions(self, radars: wp.array) -> wp.array:

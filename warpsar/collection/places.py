@@ -32,7 +32,7 @@ FAINT = 1e-6
 GROUP = 64
 """Coarse cells that are traced together at least: what is left out does not depend on the memory."""
 
-_TOGETHER, _TOGETHER_CUDA = 2**14, 2**22
+_TOGETHER, _TOGETHER_CUDA = 2**15, 2**22
 """Rough places that a thread of the CPU takes at a time, and a launch on CUDA."""
 
 

@@ -216,7 +216,7 @@ class Collection(Table):
         examples=["direct"],
     )
     scatterers_per_cell: Annotated[Number, Field(ge=1.0, le=1e4)] = Field(
-        default=16.0, description="Scatterers of rough faces in a resolution cell, at least.", examples=[32.0]
+        default=4.0, description="Scatterers of rough faces in a resolution cell, at least.", examples=[16.0]
     )
 
     @property
