@@ -100,7 +100,8 @@ def main() -> None:
     draws = given.draws
     asked = [(hamming, scr) for hamming in ((1.0, 1.0), (0.75, 0.75)) for scr in SCR_DB]
     print(f"{draws} draws, 90 % intervals")
-    print("SCR [dB]  bias [dB]  +-  scatter [dB]  coverage [%]  width [dB]  bias by peak [dB]  seen [%]  place / sd  place holds [%]")
+    print("SCR [dB]  bias [dB]  +-  scatter [dB]  coverage [%]  width [dB]  bias by peak [dB]", end="  ")
+    print("seen [%]  place / sd  place holds [%]")
     with ProcessPoolExecutor(thread_count(), multiprocessing.get_context("spawn")) as pool:
         rows = pool.map(row, [draws] * len(asked), *zip(*asked, strict=True), [given.detected] * len(asked))
         for (hamming, _), found in zip(asked, rows, strict=True):

@@ -19,9 +19,6 @@ OUTLIER = 10.0
 """Clutter over its mean by this factor is another target: of speckle exp(-10) is so bright."""
 SIDELOBE_CELLS = 10.0
 """How far from the peak sidelobes count."""
-TABLE_CELLS = 16.0
-TABLE_ENTRIES = 2001
-"""Of a response and of clutter's correlation, over so many cells."""
 PLACE_REACH = 1.0
 PLACE_STEPS = 33
 """Pixels to both sides of the brightest one in which a detected point is placed, and steps there."""
@@ -60,12 +57,9 @@ class ResponseAxis:
 
     def power_1_m(self, offset_m: F64) -> F64:
         """Of a point, at distances (n,) from it [m]: its integral over all of them is 1. Whole pixels are averaged."""
-        frequency = ((np.arange(FINER) + 0.5) / FINER - 0.5) * self.bandwidth
         inside = np.linspace(-0.5, 0.5, 9) * self.pixel_m if self.pixel_m else np.zeros(1)
-        at = np.asarray(offset_m, np.float64)[:, None] + inside
-        response = np.cos(2.0 * np.pi * at[..., None] * frequency) @ _weights(self.hamming) / FINER
-        energy = (_weights(self.hamming) ** 2).mean() / self.bandwidth
-        return np.asarray((response**2).mean(axis=1) / energy)
+        at = np.asarray(offset_m, np.float64)[..., None] + inside
+        return np.asarray((_response(self.hamming, at * self.bandwidth) ** 2).mean(axis=-1) / self.peak_m)
 
     def share(self, half_m: float) -> float:
         """Of a point's energy, what lies within `half_m` of it [m].
@@ -81,13 +75,11 @@ class ResponseAxis:
 
     def amplitude2(self, offset_m: F64) -> F64:
         """Power of a point at distances from it [m], over its peak; whole pixels are averaged."""
-        at, power = _response(self)
-        return np.asarray(np.interp(np.abs(offset_m), at, power))
+        return self.power_1_m(offset_m) * self.peak_m
 
     def correlation(self, offset_m: F64) -> F64:
         """Of clutter's amplitude, between places so far apart [m]."""
-        at, correlation = _clutter_correlation(self.hamming)
-        return np.asarray(np.interp(np.abs(offset_m) * self.bandwidth, at, correlation))
+        return _correlation(self.hamming, np.asarray(offset_m) * self.bandwidth)
 
     def interference_m(self, half_m: float) -> float:
         """Clutter that beats with the target under a window of `half_m` to both sides [m].
@@ -106,20 +98,20 @@ class ResponseAxis:
         return _moments(self.hamming, half_m * self.bandwidth)[1] / self.bandwidth / self.looks
 
 
-@lru_cache(maxsize=64)
-def _response(axis: ResponseAxis) -> tuple[F64, F64]:
-    reach = TABLE_CELLS * max(1.0 / axis.bandwidth, axis.pixel_m)
-    at = np.linspace(0.0, reach, TABLE_ENTRIES)
-    power = axis.power_1_m(at)
-    return at, power / power[0]
+def _response(hamming: float, at: F64) -> F64:
+    """Amplitude of a point over its peak, at distances in units of 1 / bandwidth."""
+    beside = 0.5 * (1.0 - hamming)
+    return np.asarray(np.sinc(at) + beside / hamming * (np.sinc(at - 1.0) + np.sinc(at + 1.0)))
 
 
-@lru_cache(maxsize=64)
-def _clutter_correlation(hamming: float) -> tuple[F64, F64]:
-    at = np.linspace(0.0, 2.0 * TABLE_CELLS, TABLE_ENTRIES)
-    frequency = (np.arange(FINER) + 0.5) / FINER - 0.5
-    squared = _weights(hamming) ** 2
-    return at, np.cos(2.0 * np.pi * np.outer(at, frequency)) @ squared / squared.sum()
+def _correlation(hamming: float, apart: F64) -> F64:
+    """Of clutter, which has passed the window, at distances in units of 1 / bandwidth."""
+    rest = 1.0 - hamming
+    shares = hamming**2 + 0.5 * rest**2, hamming * rest, 0.25 * rest**2  # of w^2: 1, exp(+-i t), exp(+-2 i t)
+    found = shares[0] * np.sinc(apart)
+    for k in (1, 2):
+        found = found + shares[k] * (np.sinc(apart - k) + np.sinc(apart + k))
+    return np.asarray(found / shares[0])
 
 
 def _peak_sd(hamming: float, scr: float) -> float:
@@ -139,9 +131,8 @@ def _peak_shape(hamming: float) -> tuple[F64, F64, float]:
     weights = _weights(hamming)
     frequency = (np.arange(FINER) + 0.5) / FINER - 0.5
     at = np.linspace(-1.0, 1.0, 801)
-    response = np.cos(2.0 * np.pi * np.outer(at, frequency)) @ weights / weights.sum()
     moments = [(frequency**2 * w).sum() / w.sum() for w in (weights**2, weights)]
-    return at, response, float(moments[0] / moments[1])
+    return at, _response(hamming, at), float(moments[0] / moments[1])
 
 
 def _weights(hamming: float) -> F64:
@@ -155,8 +146,7 @@ def _share(hamming: float, half: float, pixel: float) -> float:
     weights = _weights(hamming)
     reach = half + 0.5 * pixel
     at = np.linspace(0.0, reach, 1001)
-    frequency = (np.arange(FINER) + 0.5) / FINER - 0.5
-    response = np.cos(2.0 * np.pi * np.outer(at, frequency)) @ weights / FINER
+    response = _response(hamming, at) * weights.mean()
     inside = np.clip((reach - at) / pixel, 0.0, 1.0) if pixel else np.ones_like(at)
     return float(2.0 * np.trapezoid(response**2 * inside, at) / (weights**2).mean())  # by Parseval
 
@@ -167,11 +157,8 @@ def _moments(hamming: float, half: float) -> tuple[float, float]:
     the window's length; lengths in units of 1 / bandwidth."""
     weights = _weights(hamming)
     at, step = np.linspace(-half, half, 401, retstep=True)
-    frequency = (np.arange(FINER) + 0.5) / FINER - 0.5
-    response = np.cos(2.0 * np.pi * np.outer(at, frequency)) @ weights / FINER / np.sqrt((weights**2).mean())
-    apart = step * np.arange(401)
-    correlation = np.cos(2.0 * np.pi * np.outer(apart, frequency)) @ weights**2 / FINER / (weights**2).mean()
-    whole = toeplitz(correlation)
+    response = _response(hamming, at) * weights.mean() / np.sqrt((weights**2).mean())
+    whole = toeplitz(_correlation(hamming, step * np.arange(401)))
     trapezoid = np.full(401, step)
     trapezoid[[0, -1]] *= 0.5
     beats = float((response * trapezoid) @ whole @ (response * trapezoid))
@@ -300,9 +287,8 @@ def measure_point(
         sampled = replace(response[0], pixel_m=0.0), replace(response[1], pixel_m=0.0)
         fits = [_matched(power, inside, (line, pixel), clutter, spacing_m, each) for each in (response, sampled)]
         (line, pixel), near_sd, _ = max(fits, key=lambda one: one[2])  # the file does not say which its pixels are
-    position_sd = _with_elsewhere(
-        near_sd, power * (looks / clutter) if clutter > 0.0 else power, near, (lines, pixels), (line, pixel), spacing_m, cells
-    )
+    evidence = power * (looks / clutter) if clutter > 0.0 else power
+    position_sd = _with_elsewhere(near_sd, evidence, near, (lines, pixels), (line, pixel), spacing_m, cells)
     return PointMeasurement(
         line=line,
         pixel=pixel,
@@ -446,9 +432,7 @@ def _matched(
         slope.append([(v**2).sum() for v in (ramp, shape)])
     looks = response[0].looks * response[1].looks
     deviations = [
-        np.sqrt(
-            (2.0 * peak * clutter * beats[k][0] * beats[1 - k][1] + clutter**2 * own[k][0] * own[1 - k][1]) / looks
-        )
+        np.sqrt((2.0 * peak * clutter * beats[k][0] * beats[1 - k][1] + clutter**2 * own[k][0] * own[1 - k][1]) / looks)
         / (peak * slope[k][0] * slope[1 - k][1])
         for k in (0, 1)
     ]
