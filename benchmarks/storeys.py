@@ -160,13 +160,14 @@ def main() -> None:
 @click.option("--jobs", type=click.IntRange(min=1), default=2, show_default=True, help="Runs side by side.")
 @click.option("--minutes", type=float, default=8.0, show_default=True, help="Limit of one search.")
 @click.option("--max-time", type=float, default=math.inf, help="Start no run after so many seconds.")
+@click.option("--resolution", "chosen", multiple=True, type=float, help="[m]; may be given again. Default: all.")
 @click.option("--device")
-def run(out: Path, jobs: int, minutes: float, max_time: float, device: str | None) -> None:
+def run(out: Path, jobs: int, minutes: float, max_time: float, chosen: tuple[float, ...], device: str | None) -> None:
     """Make the runs that are not in the folder yet."""
     out.mkdir(parents=True, exist_ok=True)
     where = devices.resolve_device(device)
     done = {row["number"] for row in stored_runs(out)}
-    keys = [f"{kind}|{at:g}|{looks:g}" for at in RESOLUTIONS_M for kind in MADE for looks in LOOKS]
+    keys = [f"{kind}|{at:g}|{looks:g}" for at in chosen or RESOLUTIONS_M for kind in MADE for looks in LOOKS]
     keys = [key for key in keys if key not in done]
     append_runs(
         out, keys, jobs, max_time, (where.alias, minutes), one_run,
