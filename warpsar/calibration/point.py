@@ -286,7 +286,9 @@ def measure_point(
     if not complex_chip and seen:
         sampled = replace(response[0], pixel_m=0.0), replace(response[1], pixel_m=0.0)
         fits = [_matched(power, inside, (line, pixel), clutter, spacing_m, each) for each in (response, sampled)]
-        (line, pixel), near_sd, _ = max(fits, key=lambda one: one[2])  # the file does not say which its pixels are
+        # The file does not say which its pixels are: the better fit places the point, and the wider error is taken.
+        line, pixel = max(fits, key=lambda one: one[2])[0]
+        near_sd = max(one[1][0] for one in fits), max(one[1][1] for one in fits)
     evidence = power * (looks / clutter) if clutter > 0.0 else power
     position_sd = _with_elsewhere(near_sd, evidence, near, (lines, pixels), (line, pixel), spacing_m, cells)
     return PointMeasurement(
