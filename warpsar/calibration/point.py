@@ -284,11 +284,14 @@ def measure_point(
     strength = max(looks * (scr - 1.0), 1.0)
     near_sd = response[0].peak_sd_m(strength), response[1].peak_sd_m(strength)
     if not complex_chip and seen:
-        sampled = replace(response[0], pixel_m=0.0), replace(response[1], pixel_m=0.0)
-        fits = [_matched(power, inside, (line, pixel), clutter, spacing_m, each) for each in (response, sampled)]
-        # The file does not say which its pixels are: the better fit places the point, and the wider error is taken.
-        line, pixel = max(fits, key=lambda one: one[2])[0]
-        near_sd = max(one[1][0] for one in fits), max(one[1][1] for one in fits)
+        # Pixels no longer than a cell may be samples as well as means, and the file does not say which.
+        first, second = (
+            replace(axis, pixel_m=axis.pixel_m * (axis.pixel_m * axis.bandwidth > 1.0)) for axis in response
+        )
+        fits = [
+            _matched(power, inside, (line, pixel), clutter, spacing_m, each) for each in (response, (first, second))
+        ]
+        (line, pixel), near_sd, _ = max(fits, key=lambda one: one[2])
     evidence = power * (looks / clutter) if clutter > 0.0 else power
     position_sd = _with_elsewhere(near_sd, evidence, near, (lines, pixels), (line, pixel), spacing_m, cells)
     return PointMeasurement(
