@@ -137,7 +137,8 @@ def differences(found: SimulatedProduct) -> TerrainDifferences | str | None:
     final = _fitted(cells, chosen, x, cells.usable)
     sd = _standard_deviations(cells, chosen, final, cells.usable)
     told = tuple(
-        _told(found, cells, name, float(final[k]), float(sd[k]), gains[k], ties[name]) for k, name in enumerate(chosen)
+        _difference(found, cells, name, float(final[k]), float(sd[k]), gains[k], ties[name])
+        for k, name in enumerate(chosen)
     )
     bare, after = cells.model([], np.zeros(0)).power, cells.model(chosen, x).power
     scatter = _Scatter.of(cells, after, halves[1])
@@ -416,7 +417,7 @@ def _standard_deviations(cells: _Cells, names: list[str], x: F64, where: NDArray
     return np.asarray(np.sqrt(np.diag(bread @ scatter.covariance(slopes) @ bread)))
 
 
-def _told(
+def _difference(
     found: SimulatedProduct, cells: _Cells, name: str, value: float, sd: float, gain: float, tied: tuple[str, ...]
 ) -> TerrainDifference:
     unit = "m" if name in MOVES else "dB"
