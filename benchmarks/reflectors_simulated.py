@@ -57,25 +57,26 @@ def chips(
     return point + speckle, rcs, (place[0], place[1])
 
 
-def row(draws: int, hamming: tuple[float, float], scr_db: float) -> tuple[float, ...]:
-    """SCR, mean error [dB], its standard error, scatter, coverage [%], mean width [dB], mean error of the peak, and the
-    scatter of both places over their stated errors."""
-    axes = tuple(ResponseAxis(band, alpha) for band, alpha in zip(BANDWIDTH, hamming, strict=True))
+def row(draws: int, hamming: tuple[float, float], scr_db: float, detected: bool = False) -> tuple[float, ...]:
+    """SCR, mean error [dB], its standard error, scatter, coverage [%], mean width [dB], mean error of the peak, share
+    that is seen [%], and of those, in azimuth and range, the scatter of places over their stated errors, and how many
+    lie within 1.645 of them [%]."""
+    whole = [step if detected else 0.0 for step in SPACING_M]
+    axes = tuple(ResponseAxis(b, alpha, m) for b, alpha, m in zip(BANDWIDTH, hamming, whole, strict=True))
     rng = np.random.default_rng([int(100 * hamming[0]), int(scr_db)])  # rows of one seed would err alike
     errors, covered, widths, peaks, off = [], [], [], [], []
     for _ in range(draws):
         chip, rcs, place = chips(rng, 10 ** (scr_db / 10), hamming)
+        chip = np.abs(chip) ** 2 if detected else chip
         found = measure_point(chip, CENTRE, SEARCH, SPACING_M, (axes[0], axes[1]), PointSettings())
         errors.append(found.rcs_m2 / rcs)
         peaks.append(found.peak_rcs_m2 / rcs)
         covered.append(found.low_m2 <= rcs <= found.high_m2)
         widths.append(10 * np.log10(found.high_m2 / max(found.low_m2, 1e-3 * rcs)))
-        off.append(
-            (
-                (found.line - place[0]) * SPACING_M[0] / found.position_sd_m[0],
-                (found.pixel - place[1]) * SPACING_M[1] / found.position_sd_m[1],
-            )
-        )
+        if found.seen:
+            found_at = (found.line, found.pixel)
+            step_sd = zip(found_at, place, SPACING_M, found.position_sd_m, strict=True)
+            off.append([(at - true) * step / sd for at, true, step, sd in step_sd])
     ratio = np.array(errors)
     return (
         scr_db,
@@ -85,19 +86,24 @@ def row(draws: int, hamming: tuple[float, float], scr_db: float) -> tuple[float,
         100 * float(np.mean(covered)),
         float(np.mean(widths)),
         10 * np.log10(np.mean(peaks)),
+        100 * len(off) / draws,
         *np.std(off, axis=0),
+        *(100 * np.mean(np.abs(off) < 1.645, axis=0)),
     )
 
 
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--draws", type=int, default=4000)
-    draws = parser.parse_args().draws
+    parser.add_argument("--detected", action="store_true", help="power alone, as GRD and .mli have it")
+    given = parser.parse_args()
+    draws = given.draws
     asked = [(hamming, scr) for hamming in ((1.0, 1.0), (0.75, 0.75)) for scr in SCR_DB]
     print(f"{draws} draws, 90 % intervals")
-    print("SCR [dB]  bias [dB]  +-  scatter [dB]  coverage [%]  width [dB]  bias by peak [dB]  position / sd")
+    print("SCR [dB]  bias [dB]  +-  scatter [dB]  coverage [%]  width [dB]  bias by peak [dB]", end="  ")
+    print("seen [%]  place / sd  place holds [%]")
     with ProcessPoolExecutor(thread_count(), multiprocessing.get_context("spawn")) as pool:
-        rows = pool.map(row, [draws] * len(asked), *zip(*asked, strict=True))
+        rows = pool.map(row, [draws] * len(asked), *zip(*asked, strict=True), [given.detected] * len(asked))
         for (hamming, _), found in zip(asked, rows, strict=True):
             print(f"Hamming {hamming[0]:g}: " + "  ".join(f"{value:8.3f}" for value in found), flush=True)
 

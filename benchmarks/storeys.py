@@ -159,11 +159,12 @@ def main() -> None:
 @runs.jobs(2)
 @runs.minutes(8.0)
 @runs.max_time
+@click.option("--resolution", "chosen", multiple=True, type=float, help="[m]; may be given again. Default: all.")
 @runs.device
-def run(out: Path, jobs: int, minutes: float, max_time: float, device: str | None) -> None:
+def run(out: Path, jobs: int, minutes: float, max_time: float, chosen: tuple[float, ...], device: str | None) -> None:
     """Make the runs that are not in the folder yet."""
     where = devices.resolve_device(device)
-    keys = [f"{kind}|{at:g}|{looks:g}" for at in RESOLUTIONS_M for kind in MADE for looks in LOOKS]
+    keys = [f"{kind}|{at:g}|{looks:g}" for at in chosen or RESOLUTIONS_M for kind in MADE for looks in LOOKS]
     runs.append(
         out, keys, one_run,
         lambda row: f"{row['number']}: {answer(row)}: {row['line']}",

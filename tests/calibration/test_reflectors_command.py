@@ -158,6 +158,50 @@ def test_products_that_cannot_be_opened_are_named(tmp_path: Path) -> None:
         warpsar.reflectors([plain], sites(tmp_path))
 
 
+def test_a_file_that_is_cut_off_or_absurd_is_one_line_and_the_others_go_on(tmp_path: Path) -> None:
+    (good,) = safe_stack(tmp_path, [36.0])
+
+    def broken(name: str, pattern: str, old: str, new: str) -> Path:
+        made = tmp_path / f"{name}.SAFE"
+        shutil.copytree(good, made)
+        (path,) = made.glob(pattern)
+        text = path.read_text()
+        assert old in text
+        path.write_text(text.replace(old, new))
+        return made
+
+    cut = tmp_path / "cut.SAFE"
+    shutil.copytree(good, cut)
+    (image_file,) = (cut / "measurement").glob("*.tiff")
+    image_file.write_bytes(image_file.read_bytes()[:40000])
+    annotation, table = "annotation/*.xml", "annotation/calibration/calibration*.xml"
+    absurd = [
+        broken("line", annotation, "<azimuthTimeInterval>0.002", "<azimuthTimeInterval>0"),
+        broken("band", annotation, "<lookBandwidth>400.0", "<lookBandwidth>0"),
+        broken("window", annotation, "<windowCoefficient>1.0", "<windowCoefficient>0"),
+        broken("beta", table, "300.0 300.0", "0 0"),
+    ]
+    result = warpsar.reflectors([good, cut, *absurd], sites(tmp_path), engine=False)
+    assert [one.status for one in result.observations] == ["measured", "no image"]
+    assert "not a readable GeoTIFF" in result.observations[1].reason
+    words = ("time between lines [s]: found 0", "bandwidth in azimuth [Hz]: found 0", "window in range", "betaNought")
+    assert [word in said for word, said in zip(words, result.refused, strict=True)] == [True] * 4
+    searched = tmp_path / "searched.csv"
+    searched.write_text(HEADER.strip() + f",search_m\nCR1,{PLACE},262,3.3,triangular,1.0,100\n")
+    result = warpsar.reflectors(cut, searched, engine=False)
+    assert "no image shows the box that is searched: " in result.refused[0]
+    assert "not a readable GeoTIFF" in result.refused[0]
+
+
+def test_a_reflector_that_no_product_shows_is_named(tmp_path: Path) -> None:
+    """A height above the sea: 50 m move it by 31 m in slant range, beyond what is allowed."""
+    (good,) = safe_stack(tmp_path, [36.0])
+    low = sites(tmp_path, f"CR1,{SITE[0]},{SITE[1]},{SITE[2] + 50.0},262,3.3,triangular,1.0")
+    result = warpsar.reflectors(good, low, engine=False)
+    assert [one.status for one in result.observations] == ["not seen"]
+    assert "a height above the sea instead of the ellipsoid" in result.refused[0]
+
+
 def test_products_on_another_grid_are_refused_with_the_reason(tmp_path: Path) -> None:
     """A broken SICD, and GAMMA's ground range: one line each, and the others go on."""
     (good,) = safe_stack(tmp_path, [36.0])

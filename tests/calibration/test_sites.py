@@ -35,6 +35,18 @@ def write(folder: Path, text: str) -> Path:
     return path
 
 
+def test_the_last_day_counts_and_lies_after_the_first(tmp_path: Path) -> None:
+    path = tmp_path / "sites.csv"
+    head = "id,latitude_deg,longitude_deg,height_m,from,until\nA,46,12,250,"
+    path.write_text(head + "2024-03-05,2024-03-05\n")
+    (site,) = read(path)
+    stands = [site.stands(np.datetime64(day, "us")) for day in ("2024-03-04T23:00", "2024-03-05T17:00", "2024-03-06")]
+    assert stands == [False, True, False]
+    path.write_text(head + "2024-03-05,2024-03-04\n")
+    with pytest.raises(InputError, match=r"line 2: until: found '2024-03-04'; must be a date that is not before"):
+        read(path)
+
+
 def test_our_own_columns(tmp_path: Path) -> None:
     (one, other) = read(
         write(tmp_path, OWN + "A,46,12,250,256,10,square,1.5,2020-02-19,2021-01-01\nB,46,12,250,,,,,,\n")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -302,3 +303,21 @@ def test_places_come_back(level: SimulatedProduct) -> None:
         assert (time - start) / 2.0e-3 == pytest.approx(row + level.window.lines[0], abs=0.005)
         assert (distance - near) / 2.5 == pytest.approx(column + level.window.pixels[0], abs=0.005)
     assert ecef_to_geodetic(geodetic_to_ecef(np.array(SITE)))[0] == pytest.approx(SITE[0])
+
+
+def test_bursts_show_what_an_image_without_them_shows(tmp_path: Path) -> None:
+    """Two bursts of 40 lines, of which 16 lie on the same ground: each has all layers of its own lines' times."""
+    from warpsar.formats import sentinel1
+
+    east, north = offsets_m(61)
+    model = dem(tmp_path, SITE[2] + np.maximum(120.0 - 0.9 * np.hypot(east, north), 0.0))
+    (plain,) = sentinel1.products(product(tmp_path), None)
+    plain = replace(plain, samples=None)
+    starts = plain.grid.first_line_s, plain.grid.first_line_s + 24 * plain.grid.line_s
+    bursts = replace(plain, grid=replace(plain.grid, lines=80, burst_start_s=starts))
+    whole, cut = (warpsar.twin(one, model, geoid_offset_m=0.0, device="cpu") for one in (plain, bursts))
+    assert (whole.window.lines, cut.window.lines) == ((0, 64), (0, 80))
+    assert whole.window.pixels == cut.window.pixels
+    for name in ("beta0", "area_gamma", "shadow", "layover", "incidence", "height", "longitude"):
+        there = np.concatenate([whole.image[name][:40], whole.image[name][24:]])
+        np.testing.assert_allclose(cut.image[name], there, rtol=1e-4, atol=2e-3, err_msg=name)

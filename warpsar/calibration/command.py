@@ -108,7 +108,7 @@ def reflectors(
         tuple(found),
         explanation,
         geolocation(early, allowance_m),
-        (*refused, *lost),
+        (*refused, *lost, *_never_seen(found)),
         tuple(places),
         tuple(presence),
         None if since is None else forecast(found, since, explanation),
@@ -200,6 +200,18 @@ def _opened(
     if not opened:
         raise InputError("\n  ".join(["no product can be measured:", *refused]) if refused else "no product given")
     return opened, refused
+
+
+def _never_seen(found: Sequence[ReflectorObservation]) -> list[str]:
+    """A line for each reflector that no product shows, though it should stand."""
+    seen = {one.site.name for one in found if one.point is not None and one.point.seen}
+    unseen = dict.fromkeys(one.site.name for one in found if one.status == "not seen" and one.stands)
+    return [
+        f"{name}: seen in no product; it is absent, or its place is off (a height above the sea instead of the "
+        "ellipsoid moves it by tens of metres); --allowance or search_m looks farther"
+        for name in unseen
+        if name not in seen
+    ]
 
 
 def _without_other_swaths(found: Sequence[ReflectorObservation]) -> list[ReflectorObservation]:

@@ -234,7 +234,10 @@ def _measured(
     ):
         reason = f"it would lie at line {expected.line:.1f}, pixel {expected.pixel:.1f}; the window reaches beyond"
         return replace(placed, status="too near the edge", reason=reason)
-    raw = np.asarray(samples[slice(start[0], stop[0]), slice(start[1], stop[1])])
+    try:
+        raw = np.asarray(samples[slice(start[0], stop[0]), slice(start[1], stop[1])])
+    except InputError as error:  # a file that was cut off
+        return replace(placed, status="no image", reason=str(error))
     lines, pixels = np.arange(start[0], stop[0]), np.arange(start[1], stop[1])
     box = tuple(
         slice(max(int(at - need) - low, 0), int(np.ceil(at + need)) - low + 1)

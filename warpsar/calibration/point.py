@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import toeplitz
-from scipy.special import ndtri
+from scipy.special import gammaincc, ndtri
 
 F64 = NDArray[np.float64]
 OVERSAMPLING = 4
@@ -19,6 +19,11 @@ OUTLIER = 10.0
 """Clutter over its mean by this factor is another target: of speckle exp(-10) is so bright."""
 SIDELOBE_CELLS = 10.0
 """How far from the peak sidelobes count."""
+PLACE_REACH = 1.0
+PLACE_STEPS = 33
+"""Pixels to both sides of the brightest one in which a detected point is placed, and steps there."""
+HIGH_SCR = 1e4
+"""Beyond it the place's likelihood is narrower than the table's steps."""
 SKEW_TURNS = 8
 """In which an interval's end and the skew there settle."""
 ABSENT = 0.01
@@ -52,12 +57,9 @@ class ResponseAxis:
 
     def power_1_m(self, offset_m: F64) -> F64:
         """Of a point, at distances (n,) from it [m]: its integral over all of them is 1. Whole pixels are averaged."""
-        frequency = ((np.arange(FINER) + 0.5) / FINER - 0.5) * self.bandwidth
         inside = np.linspace(-0.5, 0.5, 9) * self.pixel_m if self.pixel_m else np.zeros(1)
-        at = np.asarray(offset_m, np.float64)[:, None] + inside
-        response = np.cos(2.0 * np.pi * at[..., None] * frequency) @ _weights(self.hamming) / FINER
-        energy = (_weights(self.hamming) ** 2).mean() / self.bandwidth
-        return np.asarray((response**2).mean(axis=1) / energy)
+        at = np.asarray(offset_m, np.float64)[..., None] + inside
+        return np.asarray((_response(self.hamming, at * self.bandwidth) ** 2).mean(axis=-1) / self.peak_m)
 
     def share(self, half_m: float) -> float:
         """Of a point's energy, what lies within `half_m` of it [m].
@@ -65,6 +67,19 @@ class ResponseAxis:
         Of whole pixels it is the mean over where in its pixel the point lies.
         """
         return _share(self.hamming, half_m * self.bandwidth, self.pixel_m * self.bandwidth)
+
+    def peak_sd_m(self, scr: float) -> float:
+        """Deviation of a peak's place by clutter [m]; without a window sqrt(3 / (2 pi^2 SCR)) / bandwidth where the SCR
+        is high (Bamler and Eineder, IEEE GRSL 2, 2005). Where it is low, the peak's top is flatter than a parabola."""
+        return _peak_sd(self.hamming, scr) / self.bandwidth
+
+    def amplitude2(self, offset_m: F64) -> F64:
+        """Power of a point at distances from it [m], over its peak; whole pixels are averaged."""
+        return self.power_1_m(offset_m) * self.peak_m
+
+    def correlation(self, offset_m: F64) -> F64:
+        """Of clutter's amplitude, between places so far apart [m]."""
+        return _correlation(self.hamming, np.asarray(offset_m) * self.bandwidth)
 
     def interference_m(self, half_m: float) -> float:
         """Clutter that beats with the target under a window of `half_m` to both sides [m].
@@ -83,6 +98,43 @@ class ResponseAxis:
         return _moments(self.hamming, half_m * self.bandwidth)[1] / self.bandwidth / self.looks
 
 
+def _response(hamming: float, at: F64) -> F64:
+    """Amplitude of a point over its peak, at distances in units of 1 / bandwidth."""
+    beside = 0.5 * (1.0 - hamming)
+    return np.asarray(np.sinc(at) + beside / hamming * (np.sinc(at - 1.0) + np.sinc(at + 1.0)))
+
+
+def _correlation(hamming: float, apart: F64) -> F64:
+    """Of clutter, which has passed the window, at distances in units of 1 / bandwidth."""
+    rest = 1.0 - hamming
+    shares = hamming**2 + 0.5 * rest**2, hamming * rest, 0.25 * rest**2  # of w^2: 1, exp(+-i t), exp(+-2 i t)
+    found = shares[0] * np.sinc(apart)
+    for k in (1, 2):
+        found = found + shares[k] * (np.sinc(apart - k) + np.sinc(apart + k))
+    return np.asarray(found / shares[0])
+
+
+def _peak_sd(hamming: float, scr: float) -> float:
+    """Lengths in units of 1 / bandwidth."""
+    at, response, against = _peak_shape(hamming)
+    likely = np.exp(np.maximum(scr / against * (response**2 - 1.0), -700.0))
+    if scr > HIGH_SCR:  # the parabola of the top
+        bend = (2.0 * np.pi) ** 2 * float(_weights(hamming) @ ((np.arange(FINER) + 0.5) / FINER - 0.5) ** 2)
+        return float(np.sqrt(against / (2.0 * scr * bend / _weights(hamming).sum())))
+    return float(np.sqrt((at**2 * likely).sum() / likely.sum()))
+
+
+@lru_cache(maxsize=64)
+def _peak_shape(hamming: float) -> tuple[F64, F64, float]:
+    """Places to one cell from the peak, the amplitude there, and int f^2 w^2 / int w^2 over int f^2 w / int w: clutter
+    has passed the window once more in power, so it moves the peak less than the top's curvature alone says."""
+    weights = _weights(hamming)
+    frequency = (np.arange(FINER) + 0.5) / FINER - 0.5
+    at = np.linspace(-1.0, 1.0, 801)
+    moments = [(frequency**2 * w).sum() / w.sum() for w in (weights**2, weights)]
+    return at, _response(hamming, at), float(moments[0] / moments[1])
+
+
 def _weights(hamming: float) -> F64:
     at = (np.arange(FINER) + 0.5) / FINER - 0.5
     return np.asarray(hamming + (1.0 - hamming) * np.cos(2.0 * np.pi * at))
@@ -94,8 +146,7 @@ def _share(hamming: float, half: float, pixel: float) -> float:
     weights = _weights(hamming)
     reach = half + 0.5 * pixel
     at = np.linspace(0.0, reach, 1001)
-    frequency = (np.arange(FINER) + 0.5) / FINER - 0.5
-    response = np.cos(2.0 * np.pi * np.outer(at, frequency)) @ weights / FINER
+    response = _response(hamming, at) * weights.mean()
     inside = np.clip((reach - at) / pixel, 0.0, 1.0) if pixel else np.ones_like(at)
     return float(2.0 * np.trapezoid(response**2 * inside, at) / (weights**2).mean())  # by Parseval
 
@@ -106,11 +157,8 @@ def _moments(hamming: float, half: float) -> tuple[float, float]:
     the window's length; lengths in units of 1 / bandwidth."""
     weights = _weights(hamming)
     at, step = np.linspace(-half, half, 401, retstep=True)
-    frequency = (np.arange(FINER) + 0.5) / FINER - 0.5
-    response = np.cos(2.0 * np.pi * np.outer(at, frequency)) @ weights / FINER / np.sqrt((weights**2).mean())
-    apart = step * np.arange(401)
-    correlation = np.cos(2.0 * np.pi * np.outer(apart, frequency)) @ weights**2 / FINER / (weights**2).mean()
-    whole = toeplitz(correlation)
+    response = _response(hamming, at) * weights.mean() / np.sqrt((weights**2).mean())
+    whole = toeplitz(_correlation(hamming, step * np.arange(401)))
     trapezoid = np.full(401, step)
     trapezoid[[0, -1]] *= 0.5
     beats = float((response * trapezoid) @ whole @ (response * trapezoid))
@@ -149,7 +197,7 @@ class PointMeasurement:
     line: float
     pixel: float
     position_sd_m: tuple[float, float]
-    """Of azimuth and range: the bound by clutter, sqrt(3 / (2 pi^2 SCR)) cells (Bamler and Eineder, 2005)."""
+    """Of azimuth and range, by clutter. It holds the chance that the peak is clutter's and the point lies elsewhere."""
     rcs_m2: float
     """By the integral, clutter subtracted, over the share of the response that the window holds."""
     low_m2: float
@@ -203,7 +251,8 @@ def measure_point(
     independent = count * pixel_area / factor**2 / cell_area
     peak = float(power[top]) * (raised if complex_chip else 1.0)
     tried = max((2.0 * search[0] * spacing_m[0]) * (2.0 * search[1] * spacing_m[1]) / cell_area, 1.0)
-    chance = tried * np.exp(-min(peak / clutter, 700.0)) if clutter > 0.0 else 0.0
+    looks = response[0].looks * response[1].looks
+    chance = tried * float(gammaincc(looks, looks * peak / clutter)) if clutter > 0.0 else 0.0
     seen = bool(chance < ABSENT)
     if not seen:
         line, pixel = expected
@@ -230,14 +279,25 @@ def measure_point(
     own = clutter**2 * window_area * uneven / share**2
     third = 6.0 * cell_rcs**2, 2.0 * own**2 / max(clutter * window_area / share, 1e-300)
     low, high = interval(target, cell_rcs, spread, z, third)
-    if not complex_chip and seen:
-        line, pixel = _centroid(power, inside, clutter)
     scr = max(peak / clutter - 1.0, 0.0) if clutter > 0.0 else float("inf")
-    bound = np.sqrt(3.0 / (2.0 * np.pi**2 * max(scr, 1e-3)))
+    # The peak lies over the target by one clutter, and by one half more for each axis on which it was sought.
+    strength = max(looks * (scr - 1.0), 1.0)
+    near_sd = response[0].peak_sd_m(strength), response[1].peak_sd_m(strength)
+    if not complex_chip and seen:
+        # Pixels no longer than a cell may be samples as well as means, and the file does not say which.
+        first, second = (
+            replace(axis, pixel_m=axis.pixel_m * (axis.pixel_m * axis.bandwidth > 1.0)) for axis in response
+        )
+        fits = [
+            _matched(power, inside, (line, pixel), clutter, spacing_m, each) for each in (response, (first, second))
+        ]
+        (line, pixel), near_sd, _ = max(fits, key=lambda one: one[2])
+    evidence = power * (looks / clutter) if clutter > 0.0 else power
+    position_sd = _with_elsewhere(near_sd, evidence, near, (lines, pixels), (line, pixel), spacing_m, cells)
     return PointMeasurement(
         line=line,
         pixel=pixel,
-        position_sd_m=(bound / response[0].bandwidth, bound / response[1].bandwidth),
+        position_sd_m=position_sd,
         rcs_m2=target,
         low_m2=low,
         high_m2=high,
@@ -336,11 +396,80 @@ def _clutter(
     return float(corners.mean()), float(corners.size)
 
 
-def _centroid(power: F64, inside: F64, clutter: float) -> tuple[float, float]:
-    weight = inside * np.maximum(power - clutter, 0.0)
-    lines, pixels = (np.arange(n) for n in power.shape)
-    total = weight.sum()
-    return float((weight.sum(axis=1) * lines).sum() / total), float((weight.sum(axis=0) * pixels).sum() / total)
+def _matched(
+    power: F64,
+    inside: F64,
+    start: tuple[float, float],
+    clutter: float,
+    spacing_m: tuple[float, float],
+    response: tuple[ResponseAxis, ResponseAxis],
+) -> tuple[tuple[float, float], tuple[float, float], float]:
+    """Of a detected image, the place at which a point's power fits best by least squares, its deviations [m], and what
+    the fit takes off the sum of squares.
+
+    Power of pixels i and j has the covariance (2 T C h_i h_j rho_ij + C^2 rho_ij^2) / looks: T is the peak's power, C
+    clutter's, h the point's amplitude, and rho clutter's correlation.
+    """
+    taken = [np.flatnonzero(inside.any(axis=1 - axis)) for axis in (0, 1)]
+    above = power[np.ix_(*taken)] - clutter
+    steps = np.linspace(-PLACE_REACH, PLACE_REACH, PLACE_STEPS)
+    shapes = [
+        axis.amplitude2((at - (begin + steps[:, None])) * step)
+        for axis, at, begin, step in zip(response, taken, start, spacing_m, strict=True)
+    ]
+    norm = np.outer((shapes[0] ** 2).sum(axis=1), (shapes[1] ** 2).sum(axis=1))
+    along = shapes[0] @ above @ shapes[1].T
+    fit = np.maximum(along, 0.0) ** 2 / norm
+    top = np.unravel_index(fit.argmax(), fit.shape)
+    place, _ = _refined(fit, (int(top[0]), int(top[1])))
+    found = [s + np.interp(p, np.arange(PLACE_STEPS), steps) for s, p in zip(start, place, strict=True)]
+    peak = max(float(along[top] / norm[top]), 1e-3 * clutter)
+    beats, own, slope = [], [], []
+    for axis, at, middle, step in zip(response, taken, found, spacing_m, strict=True):
+        off = (at - middle) * step
+        shape = axis.amplitude2(off)
+        rho = axis.correlation(off[:, None] - off)
+        edge = 0.02 / axis.bandwidth
+        ramp = (axis.amplitude2(off + edge) - axis.amplitude2(off - edge)) / (2.0 * edge)
+        each = np.sqrt(shape)[:, None] * rho * np.sqrt(shape)
+        beats.append([v @ each @ v for v in (ramp, shape)])
+        own.append([v @ rho**2 @ v for v in (ramp, shape)])
+        slope.append([(v**2).sum() for v in (ramp, shape)])
+    looks = response[0].looks * response[1].looks
+    deviations = [
+        np.sqrt((2.0 * peak * clutter * beats[k][0] * beats[1 - k][1] + clutter**2 * own[k][0] * own[1 - k][1]) / looks)
+        / (peak * slope[k][0] * slope[1 - k][1])
+        for k in (0, 1)
+    ]
+    return (float(found[0]), float(found[1])), (float(deviations[0]), float(deviations[1])), float(fit[top])
+
+
+def _with_elsewhere(
+    near_sd: tuple[float, float],
+    strength: F64,
+    near: NDArray[np.bool_],
+    axes: tuple[F64, F64],
+    place: tuple[float, float],
+    spacing_m: tuple[float, float],
+    cells: tuple[float, ...],
+) -> tuple[float, float]:
+    """Deviations of the place, if the point may be another peak of the searched box as well.
+
+    A point of unknown amplitude in Gaussian clutter lies at a place with a likelihood exp(power over clutter), the
+    amplitude integrated out. Beyond one cell from the peak that is another peak's.
+    """
+    off = [(at - p) * s for at, p, s in zip(axes, place, spacing_m, strict=True)]
+    main = (np.abs(off[0]) <= cells[0])[:, None] & (np.abs(off[1]) <= cells[1])
+    box = near | main
+    likely = np.where(box, np.exp(np.minimum(strength - strength[box].max(), 0.0)), 0.0)
+    likely /= likely.sum()
+    here = float(likely[main].sum())
+    beyond = np.where(main, 0.0, likely)
+    second = (beyond.sum(axis=1) * off[0] ** 2).sum(), (beyond.sum(axis=0) * off[1] ** 2).sum()
+    return (
+        float(np.sqrt(here * near_sd[0] ** 2 + second[0])),
+        float(np.sqrt(here * near_sd[1] ** 2 + second[1])),
+    )
 
 
 def _phase_deg(

@@ -20,6 +20,7 @@ from scipy.special import digamma, fdtrc, polygamma, stdtr, stdtrit
 from warpsar.calibration.differences import SAME_PASS
 from warpsar.calibration.measure import ReflectorObservation, responses, to_beta0
 from warpsar.calibration.sites import VALID_PLACE, ReflectorSite
+from warpsar.errors import InputError
 from warpsar.products.product import ImagedPoint, Product, Radiometry
 
 F64 = NDArray[np.float64]
@@ -156,7 +157,14 @@ def find_place(
     A step of power that lasts is sought first, in each pass by itself. Without one, the brightest point of the mean
     over dates is taken if clutter alone would not have it. None, with the reason, where nothing stands out.
     """
-    cuts = [cut for product in products if (cut := _cut(product, site, radiometry)) is not None]
+    cuts, refused = [], []
+    for product in products:
+        try:
+            cut = _cut(product, site, radiometry)
+        except InputError as error:  # out of the orbit's reach, or a file that was cut off
+            refused.append(str(error))
+            continue
+        cuts += [] if cut is None else [cut]
     cuts.sort(key=lambda cut: cut.date)
     groups: list[list[_Cut]] = []
     for cut in cuts:
@@ -168,7 +176,7 @@ def find_place(
         same[0].append(cut)
     found = [one for group in groups if (one := _in_pass(group, site)) is not None]
     if not cuts:
-        return None, f"{site.name}: no image shows the box that is searched"
+        return None, f"{site.name}: no image shows the box that is searched" + (f": {refused[0]}" if refused else "")
     if not found:
         return None, f"{site.name}: nothing within {site.search_m:g} m changes or stands out more than clutter does"
     best = min(found, key=lambda one: (one.change is None, one.chance))

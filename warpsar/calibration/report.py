@@ -100,7 +100,9 @@ def _summary(
         if one.status != "measured"
     ]
     problems += list(content.get("refused", []))
-    drawings = [report.drawing(map_figure(observations, explanation), "Where the reflectors stand")]
+    drawings = []
+    if observations:
+        drawings.append(report.drawing(map_figure(observations, explanation), "Where the reflectors stand"))
     if explanation.differences is not None:
         drawings.append(report.drawing(incidence_figure(observations, explanation), "Difference against incidence"))
     if any(one.offset_m is not None for one in observations):

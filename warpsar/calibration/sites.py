@@ -251,9 +251,14 @@ def _own(row: _Row) -> ReflectorSite:
         tilt = row.number("tilt_deg", -90.0, 90.0, 0.0)
         facings = (Facing(row.number("azimuth_deg", -360.0, 360.0), tilt, flipped in ("yes", "true", "1")),)
     place = row.place("latitude_deg", "longitude_deg", "height_m")
+    start, end = row.date("from"), row.date("until")
+    if end is not None and re.fullmatch(r"\d{4}-?\d{2}-?\d{2}", row.cells["until"]):
+        end = end + np.timedelta64(1, "D") - np.timedelta64(1, "us")  # it stands on that day, too
+    if start is not None and end is not None and end < start:
+        raise row.refuse("until", f"a date that is not before {row.cells['from']}, its `from`")
     search = row.number("search_m", 10.0, FARTHEST_SEARCH_M) if row.cells.get("search_m") else None
     return ReflectorSite(
-        row.text("id"), *place, facings, row.shape("shape"), row.leg("leg_m"), row.date("from"), row.date("until"),
+        row.text("id"), *place, facings, row.shape("shape"), row.leg("leg_m"), start, end,
         search_m=search,
     )  # fmt: skip
 

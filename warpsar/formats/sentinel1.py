@@ -132,6 +132,7 @@ class _Annotation:
         whole = {
             axis: _number(self.path, first, f"{axis}Processing/processingBandwidth") for axis in ("range", "azimuth")
         }
+        looks = {axis: whole[axis] / band[axis] if band[axis] > 0.0 else 1.0 for axis in band}  # Product refuses 0
         raster = self._measurement()
         lines, pixels = (
             int(self.number(f"{information}/numberOfLines")),
@@ -155,7 +156,7 @@ class _Annotation:
             demodulate=self._tops(grid) if grid.burst_start_s else None,
             bandwidth_hz=(band["range"], band["azimuth"]),
             hamming=(weights["range"], weights["azimuth"]),
-            looks=(whole["range"] / band["range"], whole["azimuth"] / band["azimuth"]),
+            looks=(looks["range"], looks["azimuth"]),
             top=32767.0 if slc else 65535.0,
         )
 
@@ -238,6 +239,8 @@ class _Annotation:
         pixels, numbers = ([_numbers(path, found[i], name) for i in order] for name in ("pixel", values))
         if any(p.size != v.size or p.size < 2 for p, v in zip(pixels, numbers, strict=True)):
             raise InputError(f"{path}: found vectors whose numbers of pixels and of {values} differ")
+        if kind == "calibration" and (lowest := min(v.min() for v in numbers)) <= 0.0:
+            raise InputError(f"{path}: {values}: found {lowest:g}; must be above 0")
         return LineTable(lines[order], tuple(pixels), tuple(numbers))
 
     def _noise(self) -> Callable[[ArrayLike, ArrayLike], F64] | None:

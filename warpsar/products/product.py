@@ -88,6 +88,23 @@ class Product:
     top: float | None = None
     """The largest number that the format can say, of a complex sample in either part: brighter ones have it, too."""
 
+    def __post_init__(self) -> None:
+        above_zero: dict[str, float | None] = {
+            "radar frequency [Hz]": self.frequency_hz,
+            "time between lines [s]": abs(self.grid.line_s),
+            "step between pixels [m]": abs(self.grid.range_step_m),
+            "bandwidth in range [Hz]": self.bandwidth_hz[0],
+            "bandwidth in azimuth [Hz]": self.bandwidth_hz[1],
+            "looks in range": self.looks[0],
+            "looks in azimuth": self.looks[1],
+        }
+        for name, value in above_zero.items():
+            if value is not None and not 0.0 < value < np.inf:
+                raise InputError(f"{self.source}: {name}: found {value:g}; must be a number above 0")
+        for axis, alpha in zip(("range", "azimuth"), self.hamming, strict=True):
+            if not 0.5 <= alpha <= 1.0:
+                raise InputError(f"{self.source}: window in {axis}: found the coefficient {alpha:g}; must be 0.5 to 1")
+
     @property
     def wavelength_m(self) -> float:
         return SPEED_OF_LIGHT / self.frequency_hz
