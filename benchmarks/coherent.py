@@ -1,8 +1,8 @@
-"""How fast `warpsar.rcs` is: tubes and segments per second on the Austin suite's boxes, and how its time grows.
+"""How fast `warpsar.rcs` is: tubes and segments per second on the Austin suite's boxes and model aircraft, and how its time grows.
 
     python benchmarks/coherent.py DATA [--device cuda] [--only cylindrical] [--growth] [--out coherent.json] [--write]
 
-DATA is the folder of the suite (benchmarks/rcs_checks.py). A sweep: 361 angles, 2.56, 5.12, 7 and 10.24 GHz, HH and VV,
+DATA is the folder of the suite (benchmarks/rcs_checks.py), with austin_bodies/ beside it. A sweep: 361 angles, 2.56, 5.12, 7 and 10.24 GHz, HH and VV,
 tubes of a tenth of the shortest wavelength. `wall` is the time of day, `cpu` that of the process on all its threads:
 on a busy machine the second says more. `with its error` is the wall time where a second sweep, of tubes of twice the
 width, tells the error of the spacing, as in `warpsar.rcs`. Reading the mesh and building the tree are `prepare`.
@@ -34,10 +34,12 @@ from warpsar.coherent.body import CoherentBody
 from warpsar.coherent.directions import Directions
 from warpsar.coherent.sweep import sweep
 from warpsar.runtime import devices
+from warpsar.world.mesh import read_mesh
 
 FREQUENCIES = (2.56e9, 5.12e9, 7e9, 10.24e9)
 ANGLES = 361
-METAL = [name for name in BODIES if name not in MATERIALS]
+METAL = {name: make for name, (_, make) in BODIES.items() if name not in MATERIALS}
+METAL["aircraft"] = lambda data: read_mesh(data.parent / "austin_bodies" / "prime_closed_duct.obj")
 
 
 def measure(body: CoherentBody, angles: int, frequencies: tuple[float, ...], **more: Any) -> dict[str, Any]:
@@ -86,7 +88,7 @@ def profile(body: CoherentBody, angles: int, frequencies: tuple[float, ...]) -> 
 def prepared(data: Path, name: str, device: str | None, cuts: int = 0) -> tuple[CoherentBody, dict[str, Any]]:
     """A body on the device. `cuts`: how often each of its faces is cut into four."""
     started = time.process_time()
-    mesh = BODIES[name][1](data)
+    mesh = METAL[name](data)
     for _ in range(cuts):
         mesh = warpsar.Mesh.of(*trimesh.remesh.subdivide(mesh.vertices, mesh.faces))
     scene = scene_of(mesh)

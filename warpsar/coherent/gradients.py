@@ -139,8 +139,8 @@ def rcs_gradients(
     Raises InputError as `warpsar.rcs` does, and for parameters that have no derivative; DeviceError.
     """
     scene = scene_or_file(scene)
-    if "transmission" in scene.radar.terms:
-        raise InputError(f'{scene.name}: radar.terms: found "transmission", which has no derivative; leave it out here')
+    for term in {"transmission", "edge_waves"} & set(scene.radar.terms):
+        raise InputError(f'{scene.name}: radar.terms: found "{term}", which has no derivative; leave it out here')
     tree = parameters_of(scene)
     found = learned(scene, parameters, tree)
     asked = RcsRequest.of(scene, azimuths_deg, incidences_deg, frequencies_hz, device, rays_per_wavelength)
