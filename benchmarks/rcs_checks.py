@@ -11,7 +11,8 @@ Bodies with a duct are swept with 10, 14 and 20 rays per wavelength. The result 
 the range of all three: what the spacing of rays leaves open. Convex bodies have none: the borders of faces are exact.
 `within its error`: at how many angles the coarsest sweep is as near to the finest as its `spacing_error_m` says.
 
-`independent` is what an independent program in float64 got with the same method (PO + edges, or with rays). `and edge waves`: with the term `edge_waves`, too.
+`and edge waves`: with the term `edge_waves`, too. `independent` is what an independent program in float64 got with the
+same method (PO + edges, or with rays).
 """
 
 from __future__ import annotations

@@ -85,7 +85,7 @@ def sweep(
     spacing = float(2.0 * np.pi / k.max() / rays_per_wavelength)
     worker = Worker(body, k, spacing, terms, max_bounces, levels, distance_m, layers, compare)
     counts = [tubes_of(body, directions, i, spacing) for i in range(len(directions))]
-    tasks = [partial(worker, directions[some]) for some in _batches(counts, worker.task, worker.tracer.most_views)]
+    tasks = [partial(worker, directions[some]) for some in batches_of(counts, worker.task, worker.tracer.most_views)]
     found = []
     for part in threads.ordered(tasks, body.device):
         found.append(part)
@@ -121,7 +121,7 @@ def tubes_of(body: CoherentBody, directions: Directions, i: int, spacing: float)
     return int(np.prod(np.ceil((ends[:, 1] - ends[:, 0]) / spacing).clip(1)))
 
 
-def _batches(counts: Sequence[int], rays: int, views: int) -> Iterator[slice]:
+def batches_of(counts: Sequence[int], rays: int, views: int) -> Iterator[slice]:
     """Directions that go together, of so many rays and views at most: the same for any number of threads."""
     start, there = 0, 0
     for i, count in enumerate(counts):
