@@ -197,6 +197,7 @@ def _made_by(sight: Sight, pairs: Pairs, low: NDArray[np.float64], high: NDArray
     view = np.tile(pairs.view, 2)
     both = look_at(sight, view, np.concatenate([low, high]), np.tile(pairs.step, (2, 1)))
     most = both.hits.shape[1]
+    sends = sight.counts(view, both.hits["face"], both.hits["seen"]).reshape(2, n, most)
     there = (np.arange(most) < both.count[:, None]).reshape(2, n, most)
     hits = both.hits.reshape(2, n, most)
     surface = np.where(there, shape.surface[hits["face"]], -1)
@@ -215,6 +216,7 @@ def _made_by(sight: Sight, pairs: Pairs, low: NDArray[np.float64], high: NDArray
     corner, gap = _corner(shape.vertices[shape.faces[face]], point)
     good = (face >= 0) & (gap < NEAR * pairs.step.min(axis=1)) & (other_surface | other_seen).any(axis=1)
     good &= ~_inside(sight, face, corner, d)
+    good &= (sends & (np.arange(most) >= first[:, None])).any(axis=(0, 2))  # before it both sides send the same
     bounces = np.where(shade, first + 1, first)
     some = np.flatnonzero(np.tile(good, 2) & (both.count > 0))  # the sky sends nothing
     if not len(some):
@@ -338,8 +340,9 @@ def _light(
     thin, hits, count = THIN * length[:, None] * across, found.seen.hits, found.seen.count
     counts = sight.counts(found.view, hits["face"], hits["seen"])
     paths = TubePaths(found.view, found.place, along, thin, count, hits["face"], hits["caustics"], counts)
-    by = np.argsort(-count, kind="stable")
-    held = Held(sight, len(by))
-    held.follow(paths[by], by.astype(np.int32))
+    by, paths = paths.sending()
+    held = Held(sight, len(count))
+    if len(by):
+        held.follow(paths, by.astype(np.int32))
     amplitude: NDArray[np.complex128] = held.run() / (THIN * length**2)[:, None, None]
     return amplitude

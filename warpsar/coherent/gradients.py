@@ -185,11 +185,7 @@ def _of_tubes(
     for traced in tracer.narrowed(sight.radars, grid, start, min(start + tracer.together, len(grid))):
         hits, count = traced.found()
         chosen = np.flatnonzero((traced.kept.numpy() != 0) & (count > 0))
-        if not len(chosen):
-            continue
-        chosen = chosen[np.argsort(-count[chosen], kind="stable")]
-        count = count[chosen]
-        hits = hits[chosen, : int(count[0])]
+        hits = hits[chosen]
         zero = np.zeros(len(chosen))
         size, view = traced.rays.cells.size.numpy()[chosen], traced.rays.cells.view.numpy()[chosen]
         paths = TubePaths(
@@ -197,11 +193,14 @@ def _of_tubes(
             traced.rays.cells.place.numpy()[chosen],
             np.stack([size[:, 0], zero], axis=1),
             np.stack([zero, size[:, 1]], axis=1),
-            count,
+            count[chosen],
             hits["face"],
             hits["caustics"],
             sight.counts(view, hits["face"], hits["seen"]),
         )
+        by, paths = paths.sending()
+        if not len(by):
+            continue
         held = Held(sight)
         held.follow(paths)
         for sum_, part in zip(total, _backward(held, seed), strict=True):

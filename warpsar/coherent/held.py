@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -64,6 +64,16 @@ class TubePaths:
 
     def __getitem__(self, some: Any) -> TubePaths:
         return TubePaths(*(getattr(self, name)[some] for name in self.__dataclass_fields__))
+
+    def sending(self) -> tuple[NDArray[np.intp], TubePaths]:
+        """The tubes that send anything, up to the last hit that does: their numbers, and they, counts descending."""
+        last = self.counts.shape[1] - np.argmax(self.counts[:, ::-1], axis=1)
+        count = np.where(self.counts.any(axis=1), last, 0).astype(np.int32)
+        by = np.argsort(-count, kind="stable")[: np.count_nonzero(count)]
+        some = slice(0, int(count.max(initial=0)))
+        each = replace(self, count=count)[by]
+        face, caustics, counts = (getattr(each, name)[:, some] for name in ("face", "caustics", "counts"))
+        return by, replace(each, face=face, caustics=caustics, counts=counts)
 
 
 class Sight:
