@@ -148,6 +148,18 @@ def pairs_of(sight: Sight, marker: Marker) -> Iterator[Pairs]:
         yield _different(marker, waiting)
 
 
+def _gathered(parts: Iterator[Pairs], least: int) -> Iterator[Pairs]:
+    """Parts together, at least so many pairs but for the last ones: a launch of few takes as long."""
+    waiting: list[Pairs] = []
+    for part in parts:
+        waiting.append(part)
+        if sum(len(each.view) for each in waiting) >= least:
+            yield Pairs.joined(waiting)
+            waiting = []
+    if waiting:
+        yield Pairs.joined(waiting)
+
+
 def _different(marker: Marker, strips: Sequence[tuple[int, Any, Any, Any, int]]) -> Pairs:
     """Neighbours in strips of grids, each with its view, corner, step, columns and rows, whose marks differ."""
     places = [
@@ -281,7 +293,7 @@ def border_slopes(sight: Sight, cotangents: NDArray[np.complex128]) -> list[Tube
     """
     total = [TubeSlopes.empty(sight.worker.body) for _ in cotangents]
     marker = Marker(sight)
-    for pairs in pairs_of(sight, marker):
+    for pairs in _gathered(pairs_of(sight, marker), sight.worker.tracer.together // 2):
         found = crossings(sight, marker, pairs)
         if found is not None:
             for sum_, part in zip(total, _moved(sight, found, cotangents), strict=True):

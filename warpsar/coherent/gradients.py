@@ -29,6 +29,8 @@ from warpsar.world.world import World
 
 VIEWS = 64
 """Directions that are pulled together, at most: each brings what it sees of edges and faces."""
+TASKS = 4
+"""And tasks of the sweep."""
 GRAZING = 1e-9
 """A flat face is neither lit nor dark where its normal has this cosine to the radar, or less."""
 
@@ -58,7 +60,7 @@ class RcsGradients:
         flat = given.reshape(1, -1, *given.shape[2:])
         some = np.flatnonzero(flat.any(axis=(0, 2, 3)))
         counts = [tubes_of(self._asked.body, self._asked.directions, i, self._worker.spacing) for i in some]
-        batches = [some[part] for part in batches_of(counts, self._worker.task, VIEWS)]
+        batches = [some[part] for part in batches_of(counts, TASKS * self._worker.task, VIEWS)]
         for _, (part,) in self._pulled([(which, flat[:, which]) for which in batches]):
             for name, one in self._learned.items():
                 total[name] += one.gradient(part)
