@@ -1,11 +1,16 @@
-"""How fast `warpsar.rcs` is: tubes and segments per second on the Austin suite's boxes, and how its time grows.
+"""How fast `warpsar.rcs` is on the Austin suite's boxes and model aircraft, how its time grows, what gradients take.
 
-    python benchmarks/coherent.py DATA [--device cuda] [--only cylindrical] [--growth] [--out coherent.json] [--write]
+    python benchmarks/coherent.py DATA [--device cuda] [--only cylindrical] [--growth] [--gradients]
+        [--out coherent.json] [--write]
 
-DATA is the folder of the suite (benchmarks/rcs_checks.py). A sweep: 361 angles, 2.56, 5.12, 7 and 10.24 GHz, HH and VV,
-tubes of a tenth of the shortest wavelength. `wall` is the time of day, `cpu` that of the process on all its threads:
-on a busy machine the second says more. `with its error` is the wall time where a second sweep, of tubes of twice the
-width, tells the error of the spacing, as in `warpsar.rcs`. Reading the mesh and building the tree are `prepare`.
+DATA is the folder of the suite (benchmarks/rcs_checks.py), with austin_bodies/ beside it. A sweep: 361 angles, 2.56,
+5.12, 7 and 10.24 GHz, HH and VV, tubes of a tenth of the shortest wavelength. `wall` is the time of day, `cpu` that of
+the process on all its threads: on a busy machine the second says more. `with its error` is the wall time where a second
+sweep, of tubes of twice the width, tells the error of the spacing, as in `warpsar.rcs`. Reading the mesh and building
+the tree are `prepare`.
+
+`--gradients` times, beside the values of `warpsar.rcs` (with their errors), one pass back to all vertices (`vjp`), of
+31 angles from 10 to 70 degrees in two polarizations, at 7 GHz, and at the four frequencies together.
 
 `--profile` prints seconds for each kernel instead, on one thread: it waits for each launch to end.
 """
@@ -34,10 +39,12 @@ from warpsar.coherent.body import CoherentBody
 from warpsar.coherent.directions import Directions
 from warpsar.coherent.sweep import sweep
 from warpsar.runtime import devices
+from warpsar.world.mesh import read_mesh
 
 FREQUENCIES = (2.56e9, 5.12e9, 7e9, 10.24e9)
 ANGLES = 361
-METAL = [name for name in BODIES if name not in MATERIALS]
+METAL = {name: make for name, (_, make) in BODIES.items() if name not in MATERIALS}
+METAL["aircraft"] = lambda data: read_mesh(data.parent / "austin_bodies" / "prime_closed_duct.obj")
 
 
 def measure(body: CoherentBody, angles: int, frequencies: tuple[float, ...], **more: Any) -> dict[str, Any]:
@@ -86,7 +93,7 @@ def profile(body: CoherentBody, angles: int, frequencies: tuple[float, ...]) -> 
 def prepared(data: Path, name: str, device: str | None, cuts: int = 0) -> tuple[CoherentBody, dict[str, Any]]:
     """A body on the device. `cuts`: how often each of its faces is cut into four."""
     started = time.process_time()
-    mesh = BODIES[name][1](data)
+    mesh = METAL[name](data)
     for _ in range(cuts):
         mesh = warpsar.Mesh.of(*trimesh.remesh.subdivide(mesh.vertices, mesh.faces))
     scene = scene_of(mesh)
@@ -112,6 +119,37 @@ def growth(
     ]
 
 
+def gradients(data: Path, name: str, device: str | None) -> list[dict[str, Any]]:
+    """Seconds of a value, and of its gradients to all vertices, on the processor's clock and on the wall's."""
+    scene = scene_of(METAL[name](data))
+    azimuth = np.linspace(10.0, 70.0, 31) + 0.013  # no face stands along the line of sight
+    rows = []
+    for frequencies in (FREQUENCIES[2:3], FREQUENCIES):
+        asked = (azimuth, 88.0, frequencies)
+        for angles in (azimuth[:2], azimuth):  # the first loads kernels
+            made = warpsar.rcs_gradients(scene, angles, *asked[1:], parameters=["mesh.vertices"], device=device)
+            started = time.perf_counter(), time.process_time()
+            made.vjp(made.rcs.amplitude_m)
+            back = time.perf_counter() - started[0], time.process_time() - started[1]
+        started = time.perf_counter(), time.process_time()
+        warpsar.rcs(scene, *asked, device=device)
+        value = time.perf_counter() - started[0], time.process_time() - started[1]
+        rows.append({"body": name, "faces": len(scene.mesh.faces), "frequencies": len(frequencies), "value_s": value,
+                     "vjp_s": back})  # fmt: skip
+    return rows
+
+
+def gradients_table(rows: list[dict[str, Any]]) -> str:
+    header = ("body", "faces", "frequencies", "value, wall [s]", "CPU [s]", "back, wall [s]", "CPU [s]",
+              "back over value, CPU", "both over value, CPU")  # fmt: skip
+    lines = []
+    for r in rows:
+        (wall, cpu), (back, back_cpu) = r["value_s"], r["vjp_s"]
+        lines.append((r["body"], r["faces"], r["frequencies"], *(f"{x:.2f}" for x in (wall, cpu, back, back_cpu)),
+                      f"{back_cpu / cpu:.1f}", f"{1.0 + back_cpu / cpu:.1f}"))  # fmt: skip
+    return tables.markdown(header, lines)
+
+
 def row(r: dict[str, Any]) -> tuple[Any, ...]:
     rate = r["segments"] / r["wall_s"]
     return (r.get("what", r["body"]), r["faces"], r["angles"], r["frequencies"], f"{r['segments'] / 1e6:.1f} M",
@@ -127,6 +165,7 @@ def main() -> None:
     parser.add_argument("--only", choices=[name.split()[0] for name in METAL], help="one body")
     parser.add_argument("--profile", action="store_true", help="seconds for each kernel")
     parser.add_argument("--growth", action="store_true", help="also how the time of the cobra duct grows")
+    parser.add_argument("--gradients", action="store_true", help="also what gradients to all vertices take")
     tables.add_options(parser)
     options = parser.parse_args()
     if options.source:
@@ -134,7 +173,9 @@ def main() -> None:
     else:
         sweeps: list[dict[str, Any]] = []
         grown: list[dict[str, Any]] = []
-        result = {"made": tables.made(), "machine": machine(options.device), "sweeps": sweeps, "growth": grown}
+        pulled: list[dict[str, Any]] = []
+        result = {"made": tables.made(), "machine": machine(options.device), "sweeps": sweeps, "growth": grown,
+                  "gradients": pulled}  # fmt: skip
         for name in (n for n in METAL if options.only in (None, n.split()[0])):
             body, about = prepared(options.data, name, options.device)
             if options.profile:
@@ -142,6 +183,9 @@ def main() -> None:
                 continue
             sweeps.append({**about, **measure(body, ANGLES, FREQUENCIES)})
             tables.save(options.out, result)
+            if options.gradients:
+                pulled += gradients(options.data, name, options.device)
+                tables.save(options.out, result)
             if options.growth and name.startswith("cobra"):
                 grown += growth(body, about, prepared(options.data, name, options.device, cuts=1))
                 tables.save(options.out, result)
@@ -153,6 +197,8 @@ def main() -> None:
     bodies = {f"coherent.{kind}": tables.markdown(header, map(row, result["sweeps"]))}
     if result["growth"]:
         bodies[f"coherent.growth.{kind}"] = tables.markdown(header, map(row, result["growth"]))
+    if result.get("gradients"):
+        bodies[f"coherent.gradients.{kind}"] = gradients_table(result["gradients"])
     tables.publish(bodies, result, options.write)
 
 

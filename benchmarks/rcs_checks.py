@@ -11,7 +11,8 @@ Bodies with a duct are swept with 10, 14 and 20 rays per wavelength. The result 
 the range of all three: what the spacing of rays leaves open. Convex bodies have none: the borders of faces are exact.
 `within its error`: at how many angles the coarsest sweep is as near to the finest as its `spacing_error_m` says.
 
-`independent` is what an independent program in float64 got with the same method (PO + edges, or with rays).
+`and edge waves`: with the term `edge_waves`, too. `independent` is what an independent program in float64 got with the
+same method (PO + edges, or with rays).
 """
 
 from __future__ import annotations
@@ -52,6 +53,7 @@ INDEPENDENT = {
 }
 ALLOWED_DB = 0.6
 RAYS_PER_WAVELENGTH = (10.0, 14.0, 20.0)
+TERMS = ("single", "edges", "multibounce", "edge_waves")
 
 
 def plate(data: Path) -> warpsar.Mesh:
@@ -125,12 +127,12 @@ def mouths(mesh: warpsar.Mesh) -> list[NDArray[np.float64]]:
     return found
 
 
-def scene_of(mesh: warpsar.Mesh, material: dict[str, Any] | None = None) -> warpsar.Scene:
+def scene_of(mesh: warpsar.Mesh, material: dict[str, Any] | None = None, **radar: Any) -> warpsar.Scene:
     """A body in space; a conductor, unless a material is given."""
     made = warpsar.Material(**(material or {"conductor": True}))
     return warpsar.Scene(
         mesh=mesh,
-        radar=warpsar.Radar(frequency_hz=7e9, polarizations=("VV", "HH")),
+        radar=warpsar.Radar(frequency_hz=7e9, polarizations=("VV", "HH"), **radar),
         grid=warpsar.Grid(shape=(4, 4), spacing_m=(1.0, 1.0)),
         materials=dict.fromkeys(mesh.materials, made),
         views=[warpsar.View(name="none", azimuth_deg=0.0, incidence_deg=45.0)],
@@ -155,7 +157,7 @@ def check(data: Path, body: str) -> list[dict[str, Any]]:
     exact = [float(measured(data, suite, code, "V")[0, 0]) for code in FREQUENCIES.values()]
     started = time.process_time()
     finer = RAYS_PER_WAVELENGTH if open_planes else RAYS_PER_WAVELENGTH[-1:]
-    scene = scene_of(mesh, MATERIALS.get(body))
+    scene = scene_of(mesh, MATERIALS.get(body), terms=TERMS)
     sweeps = [warpsar.rcs(scene, 90.0 - phi[keep], 90.0, exact, rays_per_wavelength=n) for n in finer]
     seconds = time.process_time() - started
     found = sweeps[-1]
@@ -173,7 +175,7 @@ def check(data: Path, body: str) -> list[dict[str, Any]]:
                 decibels = np.maximum(10 * np.log10(np.maximum(4 * np.pi * np.abs(total) ** 2, 1e-30)), low)
                 return float(np.abs(decibels - reference).mean()), float(np.corrcoef(decibels, reference)[0, 1])
 
-            every = "single", "edges", "multibounce"
+            every = TERMS[:-1]
             whole, correlation = error(every)
             each = [error(every, made)[0] for made in sweeps]
             independent = INDEPENDENT[body][f][p] if body in INDEPENDENT else None
@@ -187,6 +189,7 @@ def check(data: Path, body: str) -> list[dict[str, Any]]:
                     "po": error(("single",))[0],
                     "edges": error(("single", "edges"))[0],
                     "all": whole,
+                    "waves": error(TERMS)[0],
                     "spread": max(each) - min(each),
                     "spacing_error_db": float(np.nanmedian(found.spacing_error_db[:, 0, f, p])),
                     "correlation": correlation,
@@ -205,14 +208,15 @@ def check(data: Path, body: str) -> list[dict[str, Any]]:
 
 
 def table(rows: list[dict[str, Any]]) -> str:
-    header = ("body", "GHz", "pol.", "angles", "PO", "PO + edges", "with rays", "spread", "within its error",
-              "independent", "a constant level", "correlation of dB", "Fresnel number")  # fmt: skip
+    header = ("body", "GHz", "pol.", "angles", "PO", "PO + edges", "with rays", "and edge waves", "spread",
+              "within its error", "independent", "a constant level", "correlation of dB", "Fresnel number")  # fmt: skip
     return tables.markdown(
         header,
         [
             (
                 r["body"], r["frequency"].removesuffix(" GHz"), r["polarization"], r["angles"], f"{r['po']:.2f}",
-                f"{r['edges']:.2f}", f"{r['all']:.2f}", f"{r['spread']:.2f}",
+                f"{r['edges']:.2f}", f"{r['all']:.2f}", f"{r['waves']:.2f}",
+                f"{r['spread']:.2f}",
                 "none" if r["covered"] is None else f"{100 * r['covered']:.0f} %", r["independent"] or "none",
                 f"{r['constant']:.2f}", f"{r['correlation']:.2f}",
                 "none" if r["fresnel"] is None else f"{r['fresnel']:.2g}",

@@ -12,9 +12,7 @@ from warpsar.cli import options
 
 @click.command(name="diagnose", short_help="Name the effects that the model lacks, and add them.")
 @options.scene
-@options.out(
-    "Folder for diagnosis.json, report.html, and scene.toml with the named effects; made if missing."
-)
+@options.out("Folder for diagnosis.json, report.html, and scene.toml with the named effects; made if missing.")
 @options.device
 @click.option(
     "--family-error",

@@ -23,7 +23,6 @@ from warpsar.kernels.coherent.rough import RoughSurface, Scatterer, scattered
 from warpsar.kernels.coherent.tubes import (
     Hit,
     Tube,
-    TubeMesh,
     TubeRadar,
     bounced,
     hit_of,
@@ -109,6 +108,7 @@ def cast(radar: TubeRadar, x: wp.vec3d, dx: wp.vec3d) -> wp.vec3d:
 def begin_kernel(
     # In:
     radar_in: wp.array[TubeRadar],
+    view_in: wp.array[int],
     vertices_in: wp.array[wp.vec3d],
     held_in: wp.array[wp.vec3d],
     faces_in: wp.array2d[int],
@@ -129,7 +129,7 @@ def begin_kernel(
     silhouette the way changes without bounds for a tube that stays. `held_in`: the vertices without a gradient.
     """
     i = wp.tid()
-    radar = radar_in[0]
+    radar = radar_in[view_in[i]]
     f = face_in[i]
     known = start_tube(radar, place_in[i], side_u_in[i], side_v_in[i], standoff, reach)
     if curved_in[f] == 0:
@@ -190,6 +190,7 @@ def radiate_kernel(
     wavenumber_in: wp.array[wp.float64],
     stuff_in: wp.array2d[Face],
     material_in: wp.array[int],
+    view_in: wp.array[int],
     counts_in: wp.array[int],
     slot_in: wp.array[int],
     hit_in: wp.array[Hit],
@@ -206,9 +207,10 @@ def radiate_kernel(
     back = bounced_fields(stuff_in[f, material_in[hit.face]], k, fields, hit.d, hit.normal)
     fields_out[i, f] = back
     if counts_in[i] != 0:
-        sight = look(radar_in[0], hit.point, 0.0)
+        radar = radar_in[view_in[i]]
+        sight = look(radar, hit.point, 0.0)
         factor = tube_factor(k, hit, sight)
-        four = sent(factor, fields, back, hit.d, hit.normal, sight.s, radar_in[0].u, radar_in[0].v)
+        four = sent(factor, fields, back, hit.d, hit.normal, sight.s, radar.u, radar.v)
         add(amplitude_out, slot_in[i], f, four)
 
 
@@ -244,6 +246,7 @@ def facets_kernel(
     material_in: wp.array[int],
     vertices_in: wp.array[wp.vec3d],
     faces_in: wp.array2d[int],
+    view_in: wp.array[int],
     some_in: wp.array[int],
     slabs: int,
     # Out:
@@ -253,7 +256,8 @@ def facets_kernel(
     i, f = wp.tid()
     face = some_in[i]
     k = wavenumber_in[f]
-    radar = radar_in[0]
+    view = view_in[i]
+    radar = radar_in[view]
     p0 = vertices_in[faces_in[face, 0]]
     p1 = vertices_in[faces_in[face, 1]]
     p2 = vertices_in[faces_in[face, 2]]
@@ -261,9 +265,9 @@ def facets_kernel(
     integral = triangle_integral(p0, p1, p2, n, k, radar.s)
     stuff = stuff_in[f, material_in[face]]
     if slabs != 0:
-        add(amplitude_out, 0, f, slab_sent(stuff, k, integral, n, radar.s, radar.u, radar.v))
+        add(amplitude_out, view, f, slab_sent(stuff, k, integral, n, radar.s, radar.u, radar.v))
     else:
-        add(amplitude_out, 0, f, flat_sent(stuff, k, integral, n, radar.s, radar.u, radar.v))
+        add(amplitude_out, view, f, flat_sent(stuff, k, integral, n, radar.s, radar.u, radar.v))
 
 
 @wp.struct
@@ -361,14 +365,17 @@ def seams_kernel(
     faces_in: wp.array2d[int],
     surface_in: wp.array[int],
     total_in: wp.array[wp.vec4d],
+    view_in: wp.array[int],
+    which_in: wp.array[int],
     seam_in: wp.array[Seam],
     # Out:
     amplitude_out: wp.array3d[wp.vec2d],
 ):
-    """Fringe currents of pieces of edges."""
+    """Fringe currents of pieces of edges: `which_in` each view sees."""
     i, f = wp.tid()
-    edge = edge_of(seam_in[i], vertices_in, faces_in, surface_in, total_in)
-    add(amplitude_out, 0, f, diffracted(radar_in[0], wavenumber_in[f], edge))
+    view = view_in[i]
+    edge = edge_of(seam_in[which_in[i]], vertices_in, faces_in, surface_in, total_in)
+    add(amplitude_out, view, f, diffracted(radar_in[view], wavenumber_in[f], edge))
 
 
 @wp.kernel
@@ -380,6 +387,7 @@ def places_kernel(
     variant: int,
     vertices_in: wp.array[wp.vec3d],
     faces_in: wp.array2d[int],
+    view_in: wp.array[int],
     scatterer_in: wp.array[Scatterer],
     face_in: wp.array[int],
     at_in: wp.array[wp.vec2d],
@@ -401,7 +409,9 @@ def places_kernel(
     place.diffuse = known.diffuse
     place.specular = known.specular
     place.material = known.material
-    add(amplitude_out, 0, f, scattered(radar_in[0], wavenumber_in[f], surface_in[known.material], variant, place))
+    view = view_in[i]
+    surface = surface_in[known.material]
+    add(amplitude_out, view, f, scattered(radar_in[view], wavenumber_in[f], surface, variant, place))
 
 
 # Borders of light: where neighbouring rays meet other faces
@@ -466,6 +476,7 @@ def homeward(radar: TubeRadar, hit: Hit) -> Tube:
 def shades_kernel(
     # In:
     radar_in: wp.array[TubeRadar],
+    view_in: wp.array[int],
     vertices_in: wp.array[wp.vec3d],
     faces_in: wp.array2d[int],
     which_in: wp.array[int],
@@ -477,36 +488,5 @@ def shades_kernel(
 ):
     """Where the ways from hits back to the radar pass the edge of a face that shades them."""
     i = which_in[wp.tid()]
-    tube = homeward(radar_in[0], hit_in[i])
+    tube = homeward(radar_in[view_in[i]], hit_in[i])
     weight_out[i] = corner_weight(tube, vertices_in, faces_in, face_in[i], corner_in[i])
-
-
-@wp.kernel(enable_backward=False)
-def blockers_kernel(
-    # In:
-    body: TubeMesh,
-    radar_in: wp.array[TubeRadar],
-    hit_in: wp.array[Hit],
-    # Out:
-    face_out: wp.array[int],
-    point_out: wp.array[wp.vec3d],
-):
-    """Which face stands between a hit and the radar, and where; -1 where none does."""
-    i = wp.tid()
-    hit = hit_in[i]
-    sight = look(radar_in[0], hit.point, body.reach)
-    f0 = hit.face
-    p = body.vertices[body.faces[f0, 0]]
-    flat = wp.normalize(wp.cross(body.vertices[body.faces[f0, 1]] - p, body.vertices[body.faces[f0, 2]] - p))
-    if wp.dot(flat, hit.d) > wp.float64(0.0):
-        flat = -flat
-    face_out[i] = -1
-    if wp.dot(flat, sight.s) > wp.float64(0.0):
-        start = hit.point + body.offset * flat
-        query = wp.mesh_query_ray(body.tree, wp.vec3(start), wp.vec3(sight.s), wp.float32(sight.reach))
-        if query.result:
-            tube = Tube()
-            tube.point = hit.point
-            tube.d = sight.s
-            face_out[i] = query.face
-            point_out[i] = hit.point + way_to(tube, body.vertices, body.faces, query.face) * sight.s

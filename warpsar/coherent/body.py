@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
 from warpsar.coherent.patches import PlacedScatterers, RoughPatches
+from warpsar.coherent.plates import rims
 from warpsar.coherent.records import records, upload
 from warpsar.coherent.rough import surfaces
 from warpsar.coherent.rough_models import ScattererGroup, refuse_tables
 from warpsar.coherent.shape import MeshShape, faces_alone, shape_of
 from warpsar.kernels.codes import Variant
-from warpsar.kernels.coherent import edges, radiate, reflection, rough, tubes
+from warpsar.kernels.coherent import edge_waves, edges, radiate, reflection, rough, tubes
 from warpsar.world.frame import SPEED_OF_LIGHT
 from warpsar.world.tables import Material
 from warpsar.world.world import World
@@ -224,6 +225,14 @@ class CoherentBody:
             packed[name] = getattr(wedges, name)[which]
         packed["reach_first"], packed["reach_second"] = wedges.reach(which, packed["middle"]).T
         return upload(packed, edges.Edge, self.device)
+
+    def plate_rims(self, longest_m: float, thin_m: float) -> tuple[wp.array, wp.array]:
+        """Which of `edge_pieces` are rims of plates thinner than `thin_m`, as edges of sheets; and what is opposite."""
+        which, step, cuts = self.cuts(longest_m)
+        along = (self.shape.wedges.end - self.shape.wedges.start)[which] / cuts[:, None]
+        middle = self.shape.wedges.start[which] + (step + 0.5)[:, None] * along
+        packed, opposite = rims(self.shape, which, middle, along, thin_m)
+        return upload(packed, edges.Edge, self.device), upload(opposite, edge_waves.Opposite, self.device)
 
 
 def _solid(material: Material) -> bool:

@@ -17,7 +17,7 @@ from warpsar.coherent.learned import RcsParameter, learned, moves_vertices
 from warpsar.coherent.rays import CellGrid
 from warpsar.coherent.rcs import Rcs, RcsRequest, swept
 from warpsar.coherent.shape import beyond
-from warpsar.coherent.sweep import POLARIZATIONS, RAYS_PER_WAVELENGTH, Worker, shift
+from warpsar.coherent.sweep import POLARIZATIONS, RAYS_PER_WAVELENGTH, Worker, batches_of, shift, tubes_of
 from warpsar.coherent.traced import LEVELS
 from warpsar.errors import InputError
 from warpsar.parameters.parameter import Parameter
@@ -27,6 +27,10 @@ from warpsar.scene.scene import scene_or_file
 from warpsar.world.frame import SPEED_OF_LIGHT
 from warpsar.world.world import World
 
+VIEWS = 64
+"""Directions that are pulled together, at most: each brings what it sees of edges and faces."""
+TASKS = 4
+"""And tasks of the sweep."""
 GRAZING = 1e-9
 """A flat face is neither lit nor dark where its normal has this cosine to the radar, or less."""
 
@@ -53,7 +57,11 @@ class RcsGradients:
         if given.shape != self.rcs.amplitude_m.shape:
             raise InputError(f"cotangent: found shape {given.shape}; must be {self.rcs.amplitude_m.shape}")
         total = {name: np.zeros(one.shape) for name, one in self._learned.items()}
-        for _, (part,) in self._pulled([one[None] for one in given.reshape(-1, *given.shape[2:])]):
+        flat = given.reshape(1, -1, *given.shape[2:])
+        some = np.flatnonzero(flat.any(axis=(0, 2, 3)))
+        counts = [tubes_of(self._asked.body, self._asked.directions, i, self._worker.spacing) for i in some]
+        batches = [some[part] for part in batches_of(counts, TASKS * self._worker.task, VIEWS)]
+        for _, (part,) in self._pulled([(which, flat[:, which]) for which in batches]):
             for name, one in self._learned.items():
                 total[name] += one.gradient(part)
         return Named(self._tree, total)
@@ -65,37 +73,38 @@ class RcsGradients:
         """
         shape = self.rcs.amplitude_m.shape
         size = int(np.prod(shape[2:]))
-        unit = np.concatenate([np.eye(size), 1j * np.eye(size)]).reshape(-1, *shape[2:])
+        unit = np.concatenate([np.eye(size), 1j * np.eye(size)]).reshape(-1, 1, *shape[2:])
         total = {
             name: np.zeros((shape[0] * shape[1], size, *one.shape), complex) for name, one in self._learned.items()
         }
-        for index, parts in self._pulled([unit] * (shape[0] * shape[1])):
+        for (index,), parts in self._pulled([(np.array([i]), unit) for i in range(shape[0] * shape[1])]):
             for i, part in enumerate(parts):
                 for name, one in self._learned.items():
                     total[name][index, i % size] += (1.0 if i < size else 1.0j) * one.gradient(part)
         found = {name: total[name].reshape(*shape, *one.shape) for name, one in self._learned.items()}
         return Named(self._tree, found)
 
-    def _pulled(self, cotangents: Sequence[NDArray[np.complex128]]) -> Iterator[tuple[int, list[TubeSlopes]]]:
-        """For each direction the gradients of its cotangents (c, frequencies, polarizations), piece by piece."""
+    def _pulled(
+        self, cotangents: Sequence[tuple[NDArray[np.intp], NDArray[np.complex128]]]
+    ) -> Iterator[tuple[NDArray[np.intp], list[TubeSlopes]]]:
+        """For some directions (d,) each the gradients of their cotangents (c, d, frequencies, polarizations), in
+        pieces."""
         worker, asked = self._worker, self._asked
         turn = shift(asked.body, asked.directions, worker.k, worker.distance).conj()
         chosen = [POLARIZATIONS.index(name) for name in self.rcs.polarizations]
         faces = beyond(asked.body.shape)
 
-        def tasks() -> Iterator[partial[tuple[int, list[TubeSlopes]]]]:
-            for index, given in enumerate(cotangents):
-                if not given.any():
-                    continue
-                seed = np.zeros((len(given), len(worker.k), len(POLARIZATIONS)), complex)
-                seed[:, :, chosen] = given * turn[index][:, None]
-                sight = Sight(worker, asked.directions, index, faces)
-                yield partial(_of_faces, sight, seed)
-                grid = CellGrid(asked.body, asked.directions[index : index + 1], worker.spacing, worker.distance)
+        def tasks() -> Iterator[partial[tuple[NDArray[np.intp], list[TubeSlopes]]]]:
+            for which, given in cotangents:
+                seed = np.zeros((*given.shape[:2], len(worker.k), len(POLARIZATIONS)), complex)
+                seed[..., chosen] = given * turn[which][:, :, None]
+                sight = Sight(worker, asked.directions[which], faces)
+                yield partial(_of_faces, which, sight, seed)
+                grid = CellGrid(asked.body, sight.directions, worker.spacing, worker.distance)
                 for start in range(0, len(grid), worker.tracer.together):
-                    yield partial(_of_tubes, sight, grid, start, seed)
+                    yield partial(_of_tubes, which, sight, grid, start, seed)
                 if moves_vertices(self.parameters):
-                    yield partial(_of_borders, sight, seed)
+                    yield partial(_of_borders, which, sight, seed)
 
         yield from threads.ordered(tasks(), asked.body.device)
 
@@ -139,12 +148,12 @@ def rcs_gradients(
     Raises InputError as `warpsar.rcs` does, and for parameters that have no derivative; DeviceError.
     """
     scene = scene_or_file(scene)
-    if "transmission" in scene.radar.terms:
-        raise InputError(f'{scene.name}: radar.terms: found "transmission", which has no derivative; leave it out here')
+    for term in {"transmission", "edge_waves"} & set(scene.radar.terms):
+        raise InputError(f'{scene.name}: radar.terms: found "{term}", which has no derivative; leave it out here')
     tree = parameters_of(scene)
     found = learned(scene, parameters, tree)
     asked = RcsRequest.of(scene, azimuths_deg, incidences_deg, frequencies_hz, device, rays_per_wavelength)
-    devices.load_kernels(asked.body.device, "coherent.slopes")
+    devices.load_kernels(asked.body.device, "coherent.slopes", "coherent.borders")
     if moves_vertices(found):
         _refuse_grazing(asked)
     return RcsGradients(swept(scene, asked), tuple(found), scene, tree, asked, found)
@@ -162,46 +171,52 @@ def _refuse_grazing(asked: RcsRequest) -> None:
         )
 
 
-def _of_faces(sight: Sight, seed: NDArray[np.complex128]) -> tuple[int, list[TubeSlopes]]:
+def _of_faces(
+    which: NDArray[np.intp], sight: Sight, seed: NDArray[np.complex128]
+) -> tuple[NDArray[np.intp], list[TubeSlopes]]:
     held = Held(sight)
     held.faces()
-    return sight.index, _backward(held, seed)
+    return which, _backward(held, seed)
 
 
-def _of_tubes(sight: Sight, grid: CellGrid, start: int, seed: NDArray[np.complex128]) -> tuple[int, list[TubeSlopes]]:
+def _of_tubes(
+    which: NDArray[np.intp], sight: Sight, grid: CellGrid, start: int, seed: NDArray[np.complex128]
+) -> tuple[NDArray[np.intp], list[TubeSlopes]]:
     total = [TubeSlopes.empty(sight.worker.body) for _ in seed]
     tracer = sight.worker.tracer
     for traced in tracer.narrowed(sight.radars, grid, start, min(start + tracer.together, len(grid))):
         hits, count = traced.found()
         chosen = np.flatnonzero((traced.kept.numpy() != 0) & (count > 0))
-        if not len(chosen):
-            continue
-        chosen = chosen[np.argsort(-count[chosen], kind="stable")]
-        count = count[chosen]
-        hits = hits[chosen, : int(count[0])]
+        hits = hits[chosen]
         zero = np.zeros(len(chosen))
-        size = traced.rays.cells.size.numpy()[chosen]
+        size, view = traced.rays.cells.size.numpy()[chosen], traced.rays.cells.view.numpy()[chosen]
         paths = TubePaths(
+            view,
             traced.rays.cells.place.numpy()[chosen],
             np.stack([size[:, 0], zero], axis=1),
             np.stack([zero, size[:, 1]], axis=1),
-            count,
+            count[chosen],
             hits["face"],
             hits["caustics"],
-            sight.counts(hits["face"], hits["seen"]),
+            sight.counts(view, hits["face"], hits["seen"]),
         )
+        by, paths = paths.sending()
+        if not len(by):
+            continue
         held = Held(sight)
         held.follow(paths)
         for sum_, part in zip(total, _backward(held, seed), strict=True):
             sum_.add(part)
-    return sight.index, total
+    return which, total
 
 
-def _of_borders(sight: Sight, seed: NDArray[np.complex128]) -> tuple[int, list[TubeSlopes]]:
-    return sight.index, border_slopes(sight, seed)
+def _of_borders(
+    which: NDArray[np.intp], sight: Sight, seed: NDArray[np.complex128]
+) -> tuple[NDArray[np.intp], list[TubeSlopes]]:
+    return which, border_slopes(sight, seed)
 
 
 def _backward(held: Held, seed: NDArray[np.complex128]) -> list[TubeSlopes]:
     held.run()
-    parts: list[Any] = [np.stack([one.real, one.imag], axis=-1)[None] for one in seed]
+    parts: list[Any] = [np.stack([one.real, one.imag], axis=-1) for one in seed]
     return [held.slopes(held.amplitude, part) for part in parts]

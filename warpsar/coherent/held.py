@@ -1,8 +1,8 @@
-"""Amplitudes of one direction with all that is discrete held, as programs that run backward."""
+"""Amplitudes of some directions with all that is discrete held, as programs that run backward."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -47,6 +47,8 @@ class TubeSlopes:
 class TubePaths:
     """Tubes with what they meet: n tubes, b bounces at most."""
 
+    view: NDArray[np.int32]
+    """Of which direction, (n,)."""
     place: NDArray[np.float64]
     """Middle along u and v [m], (n, 2)."""
     side_u: NDArray[np.float64]
@@ -63,22 +65,33 @@ class TubePaths:
     def __getitem__(self, some: Any) -> TubePaths:
         return TubePaths(*(getattr(self, name)[some] for name in self.__dataclass_fields__))
 
+    def sending(self) -> tuple[NDArray[np.intp], TubePaths]:
+        """The tubes that send anything, up to the last hit that does: their numbers, and they, counts descending."""
+        last = self.counts.shape[1] - np.argmax(self.counts[:, ::-1], axis=1)
+        count = np.where(self.counts.any(axis=1), last, 0).astype(np.int32)
+        by = np.argsort(-count, kind="stable")[: np.count_nonzero(count)]
+        some = slice(0, int(count.max(initial=0)))
+        each = replace(self, count=count)[by]
+        face, caustics, counts = (getattr(each, name)[:, some] for name in ("face", "caustics", "counts"))
+        return by, replace(each, face=face, caustics=caustics, counts=counts)
+
 
 class Sight:
-    """One direction: its radar, and the flat regions that it sees as a whole."""
+    """Some directions: their radars, and the flat regions that each sees as a whole."""
 
-    def __init__(self, worker: Worker, directions: Directions, index: int, beyond: NDArray[np.int64]) -> None:
-        self.worker, self.index, self.directions, self.beyond = worker, index, directions, beyond
-        radars = radar_records(directions[index : index + 1], worker.body.origin, worker.distance)
+    def __init__(self, worker: Worker, directions: Directions, beyond: NDArray[np.int64]) -> None:
+        self.worker, self.directions, self.beyond = worker, directions, beyond
+        radars = radar_records(directions, worker.body.origin, worker.distance)
         self.radars = upload(radars, tubes.TubeRadar, worker.body.device)
         self.exact = worker.lit_regions(self.radars)
+        self.whole: NDArray[np.bool_] = self.exact.numpy() != 0
+        """The same on the host, (directions, regions)."""
 
-    def counts(self, face: NDArray[np.int32], seen: NDArray[np.int32]) -> NDArray[np.bool_]:
+    def counts(self, view: NDArray[np.int32], face: NDArray[np.int32], seen: NDArray[np.int32]) -> NDArray[np.bool_]:
         """Which hits, (n, b), send something: those that the radar sees, of the terms that are asked for."""
-        region = self.worker.body.shape.region[face]
-        whole = self.exact.numpy()[0].astype(bool)
+        region = self.worker.body.shape.region[face[:, 0]]
         counts = seen != 0
-        counts[:, 0] &= ("single" in self.worker.terms) & ~((region[:, 0] >= 0) & whole[region[:, 0]])
+        counts[:, 0] &= ("single" in self.worker.terms) & ~((region >= 0) & self.whole[view, region])
         counts[:, 1:] &= "multibounce" in self.worker.terms
         return counts
 
@@ -86,7 +99,8 @@ class Sight:
 class Held:
     """A program that reads vertices and materials and adds up amplitudes in `slots` places."""
 
-    def __init__(self, sight: Sight, slots: int = 1) -> None:
+    def __init__(self, sight: Sight, slots: int | None = None) -> None:
+        """Without `slots` each direction has a place."""
         self.sight, self.worker = sight, sight.worker
         body, device = self.worker.body, self.worker.body.device
         self.program = Program(device)
@@ -96,6 +110,7 @@ class Held:
         for array in (self.vertices, self.stuff, self.surfaces):
             array.requires_grad = True
         self.normals = self._normals()
+        slots = len(sight.directions) if slots is None else slots
         self.amplitude = self.program.array((slots, len(self.worker.k), 4), wp.vec2d, sum_into=True)
 
     def _normals(self) -> Any:
@@ -117,44 +132,49 @@ class Held:
         worker, body, radars, device = self.worker, self.worker.body, self.sight.radars, self.worker.body.device
         count = len(worker.k)
         region = body.shape.region
-        some = np.flatnonzero((region >= 0) & (self.sight.exact.numpy()[0][region] != 0))
+        view, some = np.nonzero((region >= 0) & self.sight.whole[:, region])
         for term, slabs in (("single", 0), ("edges", 1)):
             if len(some) and term in worker.terms and (body.has_slabs or not slabs):
                 inputs = [radars, worker.wavenumbers, self.stuff, body.face_material, self.vertices, body.rays.faces]
-                inputs += [upload(some, int, device), slabs]
+                inputs += [upload(view, int, device), upload(some, int, device), slabs]
                 self.program.launch(slopes.facets_kernel, (len(some), count), inputs, [self.amplitude])
         if worker.edges.shape[0] and "edges" in worker.terms:
-            seen = worker.free(radars, worker.edge_middle, worker.edge_outward, both_sides=False).numpy()[0] != 0
-            self._seams(seams_of(body, np.pi / worker.k.max())[seen])
+            seen = worker.free(radars, worker.edge_middle, worker.edge_outward, both_sides=False).numpy() != 0
+            self._seams(*np.nonzero(seen))
         if body.scatterers is not None and "rough" in worker.terms:
-            seen = worker.free(radars, body.scatterer_points, body.scatterer_normals, both_sides=True).numpy()[0] != 0
+            seen = worker.free(radars, body.scatterer_points, body.scatterer_normals, both_sides=True).numpy() != 0
             for group in body.scatterer_groups:  # those of other models are held: `learned` refuses what moves them
-                seen[group.part] &= group.crossed is None
-            face, at = body.scatterer_faces[seen], _weights(body)[seen]
+                seen[:, group.part] &= group.crossed is None
+            view, some = np.nonzero(seen)
+            face, at = body.scatterer_faces[some], _weights(body)[some]
             inputs = [radars, worker.wavenumbers, self.surfaces, body.variant, self.vertices, body.rays.faces]
             inputs += [
-                upload(host(body.scatterers)[seen], body.scatterers.dtype, device),
+                upload(view, int, device),
+                upload(host(body.scatterers)[some], body.scatterers.dtype, device),
                 upload(face, int, device),
                 upload(at, wp.vec2d, device),
             ]
             self.program.launch(slopes.places_kernel, (len(face), count), inputs, [self.amplitude])
 
-    def _seams(self, seams: Any) -> None:
-        """Fringe currents of pieces of edges, with the surfaces that these end."""
+    def _seams(self, view: NDArray[np.int64], which: NDArray[np.int64]) -> None:
+        """Fringe currents of the pieces of edges `which` that views see, with the surfaces that these end."""
         worker, body, device, program = self.worker, self.worker.body, self.worker.body.device, self.program
-        there = np.unique(body.shape.surface[np.concatenate([seams["face"], seams["other"]])])
+        seams = seams_of(body, np.pi / worker.k.max())
+        some = seams[np.unique(which)]
+        there = np.unique(body.shape.surface[np.concatenate([some["face"], some["other"]])])
         some = upload(np.flatnonzero(np.isin(body.shape.surface, there)), int, device)
         surface = upload(body.shape.surface, int, device)
         total = program.array(int(body.shape.surface.max()) + 1, wp.vec4d, sum_into=True)
         mesh = [self.vertices, body.rays.faces]
         program.launch(slopes.surfaces_kernel, some.shape[0], [*mesh, some, surface], [total])
-        inputs = [self.sight.radars, worker.wavenumbers, *mesh, surface, total, upload(seams, slopes.Seam, device)]
-        program.launch(slopes.seams_kernel, (len(seams), len(worker.k)), inputs, [self.amplitude])
+        inputs = [self.sight.radars, worker.wavenumbers, *mesh, surface, total]
+        inputs += [upload(view, int, device), upload(which, int, device), upload(seams, slopes.Seam, device)]
+        program.launch(slopes.seams_kernel, (len(which), len(worker.k)), inputs, [self.amplitude])
 
     def follow(
         self, paths: TubePaths, slot: NDArray[np.int32] | None = None
     ) -> list[tuple[int, wp.array, wp.array | None]]:
-        """Tubes along their paths, whose counts descend, and what they send; `slot`: where each adds it, or 0.
+        """Tubes along their paths, whose counts descend, and what they send; `slot`: where each adds it, or its view.
 
         All tubes meet a face, also those that are followed up to it only (count 0).
 
@@ -165,14 +185,15 @@ class Held:
         sides = [upload(getattr(paths, name), wp.vec2d, device) for name in ("place", "side_u", "side_v")]
         tube = program.array(n, tubes.Tube)
         first = upload(np.ascontiguousarray(paths.face[:, 0]), int, device)
-        inputs = [self.sight.radars, self.vertices, body.rays.vertices, body.rays.faces, body.rays.normals]
+        view = upload(paths.view, int, device)
+        inputs = [self.sight.radars, view, self.vertices, body.rays.vertices, body.rays.faces, body.rays.normals]
         inputs += [body.rays.curved, first, *sides, body.standoff, body.rays.reach]
         program.launch(slopes.begin_kernel, n, inputs, [tube])
         packed = records(radiate.Pair, (n, frequencies))
-        packed["h"]["re"] = self.sight.directions.u[self.sight.index]
-        packed["v"]["re"] = self.sight.directions.v[self.sight.index]
+        packed["h"]["re"] = self.sight.directions.u[paths.view, None]
+        packed["v"]["re"] = self.sight.directions.v[paths.view, None]
         fields = upload(packed, radiate.Pair, device)
-        slots = upload(np.zeros(n, np.int32) if slot is None else slot, int, device)
+        slots = view if slot is None else upload(slot, int, device)
         states: list[tuple[int, wp.array, wp.array | None]] = [(n, tube, None)]
         for b in range(int(paths.count.max(initial=0))):
             m = int((paths.count > b).sum())
@@ -184,7 +205,8 @@ class Held:
             )
             inputs = [self.vertices, body.rays.faces, self.normals, body.rays.curved, face, caustics, tube]
             program.launch(slopes.meet_kernel, m, inputs, [hit, after])
-            inputs = [self.sight.radars, worker.wavenumbers, self.stuff, body.face_material, counts, slots, hit, fields]
+            inputs = [self.sight.radars, worker.wavenumbers, self.stuff, body.face_material]
+            inputs += [view, counts, slots, hit, fields]
             program.launch(slopes.radiate_kernel, (m, frequencies), inputs, [back, self.amplitude])
             tube, fields = after, back
             states.append((m, tube, hit))

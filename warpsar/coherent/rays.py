@@ -31,11 +31,13 @@ class CellRays:
     """On the device, (n,) each (`kernels.coherent.cells.Cells`)."""
 
     @classmethod
-    def of(cls, place: NDArray[np.float64], size: NDArray[np.float64], device: wp.Device) -> CellRays:
-        """Cells of one direction, (n, 2) each."""
-        view = wp.zeros(len(place), dtype=int, device=device)
+    def of(
+        cls, place: NDArray[np.float64], size: NDArray[np.float64], device: wp.Device, view: NDArray[Any] | None = None
+    ) -> CellRays:
+        """Cells, (n, 2) each, of one direction; or of those of `view`, (n,), whose sums are not told apart."""
         places = {"place": upload(place, wp.vec2d, device), "size": upload(size, wp.vec2d, device)}
-        return cls(np.array([0, len(place)], np.int32), fill(cells.Cells, view=view, **places))
+        views = wp.zeros(len(place), dtype=int, device=device) if view is None else upload(view, int, device)
+        return cls(np.array([0, len(place)], np.int32), fill(cells.Cells, view=views, **places))
 
     @classmethod
     def empty(cls, counts: NDArray[np.int64], device: wp.Device) -> CellRays:

@@ -168,7 +168,7 @@ class RcsRequest:
         frequencies = _numbers(scene.radar.frequency_hz if frequencies_hz is None else frequencies_hz, "frequencies")
         _refuse(scene, azimuths, incidences, frequencies, rays_per_wavelength)
         where = devices.resolve_device(device)
-        kernels = ["tubes", "cells", "radiate", "edges", "rough", "transmission"]
+        kernels = ["tubes", "cells", "radiate", "edges", "edge_waves", "rough", "transmission"]
         kernels += ["free_lanes"] if where.is_cpu else []
         devices.load_kernels(where, *(f"coherent.{name}" for name in kernels))
         there = default_gib(where) if max_memory_gib is None else max_memory_gib

@@ -17,12 +17,12 @@ from warpsar.coherent.directions import Directions, radar_records
 from warpsar.coherent.rays import CellGrid
 from warpsar.coherent.records import upload
 from warpsar.coherent.traced import LEVELS, MOST_BOUNCES, Sums, Tracer, over_lanes
-from warpsar.kernels.coherent import cells, edges, free_lanes, radiate, rough, transmission, tubes
+from warpsar.kernels.coherent import cells, edge_waves, edges, free_lanes, radiate, rough, transmission, tubes
 from warpsar.kernels.coherent.rough_models import rough_kernel
 from warpsar.runtime import threads
 from warpsar.world.frame import SPEED_OF_LIGHT
 
-TERMS = ("single", "multibounce", "edges", "rough", "transmission")
+TERMS = ("single", "multibounce", "edges", "rough", "transmission", "edge_waves")
 POLARIZATIONS = ("HH", "HV", "VH", "VV")
 RAYS_PER_WAVELENGTH = 10.0
 _RAYS_OF_TASK = {"cpu": 2**14, "cuda": 2**26}
@@ -85,7 +85,7 @@ def sweep(
     spacing = float(2.0 * np.pi / k.max() / rays_per_wavelength)
     worker = Worker(body, k, spacing, terms, max_bounces, levels, distance_m, layers, compare)
     counts = [tubes_of(body, directions, i, spacing) for i in range(len(directions))]
-    tasks = [partial(worker, directions[some]) for some in _batches(counts, worker.task, worker.tracer.most_views)]
+    tasks = [partial(worker, directions[some]) for some in batches_of(counts, worker.task, worker.tracer.most_views)]
     found = []
     for part in threads.ordered(tasks, body.device):
         found.append(part)
@@ -121,7 +121,7 @@ def tubes_of(body: CoherentBody, directions: Directions, i: int, spacing: float)
     return int(np.prod(np.ceil((ends[:, 1] - ends[:, 0]) / spacing).clip(1)))
 
 
-def _batches(counts: Sequence[int], rays: int, views: int) -> Iterator[slice]:
+def batches_of(counts: Sequence[int], rays: int, views: int) -> Iterator[slice]:
     """Directions that go together, of so many rays and views at most: the same for any number of threads."""
     start, there = 0, 0
     for i, count in enumerate(counts):
@@ -169,6 +169,9 @@ class Worker:
             outward /= np.linalg.norm(outward, axis=1)[:, None]
             self.edge_middle = upload(packed["middle"], wp.vec3d, device)
             self.edge_outward = upload(outward, wp.vec3d, device)
+            if "edge_waves" in terms:
+                thin = 2.0 * np.pi * edge_waves.THIN / k.min()
+                self.rims, self.opposite = body.plate_rims(np.pi / k.max(), thin)
         self.views_together = max(FACE_BYTES[kind] // self._bytes_of_view(), 1)
 
     def _bytes_of_view(self) -> int:
@@ -246,9 +249,15 @@ class Worker:
             if (count := body.regions.shape[0]) and TERMS[term] in self.terms and (body.has_slabs or not slabs):
                 inputs = [*start, self.stuff, exact, body.regions, body.middle, body.along, slabs]
                 self._add(radiate.regions_kernel, -(-count // radiate.REGIONS), inputs, total, term)
-        if (count := self.edges.shape[0]) and "edges" in self.terms:
+        if (count := self.edges.shape[0]) and {"edges", "edge_waves"} & set(self.terms):
             seen = self.free(radars, self.edge_middle, self.edge_outward, both_sides=False)
-            self._add(edges.edges_kernel, -(-count // edges.EDGES), [*start, self.edges, seen], total, 2)
+            inputs, chunks = [*start, self.edges, seen], -(-count // edges.EDGES)
+            if "edges" in self.terms:
+                self._add(edges.edges_kernel, chunks, inputs, total, TERMS.index("edges"))
+            if "edge_waves" in self.terms and (count := self.rims.shape[0]):
+                inputs = [*start, self.rims, self.opposite, seen]
+                chunks, term = -(-count // edges.EDGES), TERMS.index("edge_waves")
+                self._add(edge_waves.edge_waves_kernel, chunks, inputs, total, term)
         if (places := body.scatterers) is not None and "rough" in self.terms:
             seen = self.free(radars, body.scatterer_points, body.scatterer_normals, both_sides=True)
             for group in body.scatterer_groups:

@@ -129,7 +129,7 @@ class Sums:
         """As the terms of a sweep: the first bounce, the sum of the further ones, nothing."""
         zero = np.zeros_like(self.amplitude[:, :, 0])
         first, further = self.amplitude[:, :, 0], self.amplitude[:, :, 1:].sum(axis=2)
-        return np.stack([first, further, zero, zero, zero], axis=2)
+        return np.stack([first, further, zero, zero, zero, zero], axis=2)
 
     def add(self, other: Sums) -> None:
         for each in fields(self):

@@ -305,9 +305,9 @@ def boresight(plan: Plan) -> tuple[F64, F64]:
 def plans_of(world: World, device: wp.Device, product: Product = "slc") -> list[Plan]:
     """The plans of all views. Raises InputError as `plan_of` does, and for what the product does not have."""
     refuse_without_views(world)
-    if "transmission" in world.radar.terms:
+    for term in {"transmission", "edge_waves"} & set(world.radar.terms):
         raise InputError(
-            f'{world.name}: radar.terms: found "transmission", which an RCS alone has; leave it out for a product '
+            f'{world.name}: radar.terms: found "{term}", which an RCS alone has; leave it out for a product '
             "along a track"
         )
     if world.collection is not None:

@@ -32,7 +32,7 @@ DEFAULT_RAYS_PER_PIXEL = 64.0
 """Where neither density is stated."""
 
 Polarization = Literal["HH", "HV", "VH", "VV"]
-Term = Literal["single", "edges", "multibounce", "rough", "transmission"]
+Term = Literal["single", "edges", "multibounce", "rough", "transmission", "edge_waves"]
 ViewKey = Literal["azimuth_deg", "incidence_deg"]
 SpacingKey = Literal["range_spacing_m", "azimuth_spacing_m"]
 
@@ -128,7 +128,8 @@ class Radar(Table):
     )
     terms: Annotated[tuple[Term, ...], Field(min_length=1)] = Field(
         default=("single", "edges", "multibounce", "rough"),
-        description="Terms of a coherent product; transmission goes into solid dielectrics (docs/coherent.md).",
+        description="Terms of a coherent product; transmission goes into solid dielectrics, edge_waves from edge to edge of "
+        "thin plates (docs/coherent.md).",
         examples=[["single", "edges"]],
     )
     max_bounces: Annotated[_Whole, Field(ge=1, le=1000)] = Field(
