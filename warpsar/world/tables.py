@@ -128,8 +128,8 @@ class Radar(Table):
     )
     terms: Annotated[tuple[Term, ...], Field(min_length=1)] = Field(
         default=("single", "edges", "multibounce", "rough"),
-        description="Terms of a coherent product; transmission goes into solid dielectrics, edge_waves from edge to edge of "
-        "thin plates (docs/coherent.md).",
+        description="Terms of a coherent product; transmission goes into solid dielectrics, edge_waves from edge to "
+        "edge of thin plates (docs/coherent.md).",
         examples=[["single", "edges"]],
     )
     max_bounces: Annotated[_Whole, Field(ge=1, le=1000)] = Field(
