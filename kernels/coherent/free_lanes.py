@@ -109,7 +109,7 @@ _FREE = """
             if (any(inside) && waiting < 2 * BVH_QUERY_STACK_SIZE) stack[waiting++] = {children[k], inside};
         }
     }
-    for (int lane = 0; lane < count; ++lane) out.data[begin + lane] = open[lane] ? 1 : 0;
+    for (int lane = 0; lane < count; ++lane) seen_out.data[begin + lane] = open[lane] ? 1 : 0;
 """
 
 
@@ -121,7 +121,7 @@ def free_block(
     points: wp.array[wp.vec3d],
     normals: wp.array[wp.vec3d],
     both_sides: int,
-    out: wp.array[wp.uint8],
+    seen_out: wp.array[wp.uint8],
 ): ...
 
 

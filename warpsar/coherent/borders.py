@@ -131,8 +131,10 @@ class Marker:
 
 def pairs_of(sight: Sight, marker: Marker) -> Iterator[Pairs]:
     """The pairs of all directions' grids with one more cell at each side, some columns at a time."""
-    worker, waiting, there = sight.worker, [], 0
+    worker = sight.worker
     most = worker.tracer.together
+    waiting: list[tuple[int, NDArray[Any], NDArray[Any], NDArray[np.intp], int]] = []
+    there = 0
     for view in range(len(sight.directions)):
         low, step, count = frame(worker.body, sight.directions, view, worker.spacing, worker.distance)
         rows = int(count[1]) + 2

@@ -38,7 +38,7 @@ class Directions:
     def __len__(self) -> int:
         return len(self.s)
 
-    def __getitem__(self, some: slice) -> Directions:
+    def __getitem__(self, some: slice | NDArray[np.integer]) -> Directions:
         return Directions(self.s[some], self.u[some], self.v[some])
 
 

@@ -59,7 +59,7 @@ class RcsGradients:
         total = {name: np.zeros(one.shape) for name, one in self._learned.items()}
         flat = given.reshape(1, -1, *given.shape[2:])
         some = np.flatnonzero(flat.any(axis=(0, 2, 3)))
-        counts = [tubes_of(self._asked.body, self._asked.directions, i, self._worker.spacing) for i in some]
+        counts = [tubes_of(self._asked.body, self._asked.directions, int(i), self._worker.spacing) for i in some]
         batches = [some[part] for part in batches_of(counts, TASKS * self._worker.task, VIEWS)]
         for _, (part,) in self._pulled([(which, flat[:, which]) for which in batches]):
             for name, one in self._learned.items():

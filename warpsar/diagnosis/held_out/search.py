@@ -534,7 +534,8 @@ class FoldSearch:
         """A rival of the model at its best: as `made` of the model, or as it was when it was asked last; its sizes and
         the angle of the views moved, and all else fitted, from there and from the declared surface. With its profiles.
         """
-        begun, offsets = [made(scene) for scene in self._model.scenes], WIDE
+        begun = [made(scene) for scene in self._model.scenes]
+        offsets: Sequence[float] = WIDE
         if name in self._rivals:
             pairs = zip(self._rivals[name].scenes, self._model.scenes, strict=True)
             begun = [replace(rival, materials=one.materials, effects=one.effects) for rival, one in pairs]
