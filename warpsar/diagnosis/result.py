@@ -262,7 +262,8 @@ def _without_power(images: Sequence[Comparison]) -> int:
 def _without_what_hurts(found: Diagnosis) -> Diagnosis:
     """The diagnosis without what makes the error on test views larger, by more than the standard error of the rise.
 
-    What hurts most goes first, and the rest is fitted and judged again.
+    What hurts most goes first, and the rest is fitted and judged again. A train view's own angle moves no other image:
+    what the surface that follows it changes there is chance.
     """
     judge_of, setup, withdrawn, kept = found.judge, replace(found.setup, bound=0.0), list[str](), found.final
     before = judge_of.with_own_numbers(found.declared.scene, edges=False)
@@ -270,14 +271,14 @@ def _without_what_hurts(found: Diagnosis) -> Diagnosis:
     def gained(fitted: Fitted) -> tuple[float, float]:
         return difference(before, judge_of.with_own_numbers(fitted.scene, edges=False)) or (0.0, 0.0)
 
-    while before and (names := _added(found, kept)):
+    while before and (names := [name for name in _added(found, kept) if not is_own_angle(name)]):
         gain, error = gained(kept)
         if gain >= -error:
             break
         without = [_without(setup, kept, found.scene, name) for name in names]
         best = max(range(len(names)), key=lambda k: gained(without[k])[0])
         withdrawn.append(names[best])
-        kept = without[best] if len(names) > 1 else found.declared
+        kept = without[best] if len(_added(found, kept)) > 1 else found.declared
     if not withdrawn:
         return found
     objects = {name: one for name, one in found.objects.items() if name not in map(object_of, withdrawn)}
