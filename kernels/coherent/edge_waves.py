@@ -10,7 +10,7 @@ import warp as wp
 
 from warpsar.kernels.coherent.edges import EDGES, HALF, PI, Edge, diffracted
 from warpsar.kernels.coherent.numbers import product, sinc, turned
-from warpsar.kernels.coherent.radiate import Four
+from warpsar.kernels.coherent.radiate import Four, keep, plus
 from warpsar.kernels.coherent.tubes import TubeRadar, look
 
 ENDLESS = wp.constant(wp.float64(1.0e9))
@@ -142,18 +142,8 @@ def edge_waves_kernel(
     """As `edges_kernel`, of the rims of plates; `seen_in` is of all pieces of edges."""
     view, f, chunk = wp.tid()
     k = wavenumber_in[f]
-    hh = wp.vec2d()
-    hv = wp.vec2d()
-    vh = wp.vec2d()
-    vv = wp.vec2d()
+    total = Four()
     for j in range(chunk * EDGES, wp.min((chunk + 1) * EDGES, rim_in.shape[0])):
         if seen_in[view, opposite_in[j].piece] != wp.uint8(0):
-            four = waved(radar_in[view], k, rim_in[j], opposite_in[j])
-            hh += four.hh
-            hv += four.hv
-            vh += four.vh
-            vv += four.vv
-    amplitude_out[view, f, chunk, 0] = hh
-    amplitude_out[view, f, chunk, 1] = hv
-    amplitude_out[view, f, chunk, 2] = vh
-    amplitude_out[view, f, chunk, 3] = vv
+            total = plus(total, waved(radar_in[view], k, rim_in[j], opposite_in[j]))
+    keep(view, f, chunk, total, amplitude_out)

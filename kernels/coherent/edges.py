@@ -14,7 +14,7 @@ the other end of the face would have a share in.
 import warp as wp
 
 from warpsar.kernels.coherent.numbers import sinc, turned
-from warpsar.kernels.coherent.radiate import Four, scaled
+from warpsar.kernels.coherent.radiate import Four, keep, plus, scaled
 from warpsar.kernels.coherent.tubes import TubeRadar, look
 
 EDGES = wp.constant(16)
@@ -136,20 +136,10 @@ def edges_kernel(
     """Fringe currents of EDGES pieces of edges, shape (views, frequencies, chunks, 4)."""
     view, f, chunk = wp.tid()
     k = wavenumber_in[f]
-    hh = wp.vec2d()
-    hv = wp.vec2d()
-    vh = wp.vec2d()
-    vv = wp.vec2d()
+    total = Four()
     for i in range(EDGES):
         j = chunk * EDGES + i
         if j < edge_in.shape[0]:
             if seen_in[view, j] != wp.uint8(0):
-                four = diffracted(radar_in[view], k, edge_in[j])
-                hh += four.hh
-                hv += four.hv
-                vh += four.vh
-                vv += four.vv
-    amplitude_out[view, f, chunk, 0] = hh
-    amplitude_out[view, f, chunk, 1] = hv
-    amplitude_out[view, f, chunk, 2] = vh
-    amplitude_out[view, f, chunk, 3] = vv
+                total = plus(total, diffracted(radar_in[view], k, edge_in[j]))
+    keep(view, f, chunk, total, amplitude_out)

@@ -39,6 +39,25 @@ class Four:
     vv: wp.vec2d
 
 
+@wp.func
+def plus(one: Four, other: Four) -> Four:
+    found = Four()
+    found.hh = one.hh + other.hh
+    found.hv = one.hv + other.hv
+    found.vh = one.vh + other.vh
+    found.vv = one.vv + other.vv
+    return found
+
+
+@wp.func
+def keep(view: int, f: int, chunk: int, four: Four, amplitude_out: wp.array4d[wp.vec2d]):
+    """One sum of a direction, a frequency and a chunk of bodies' parts."""
+    amplitude_out[view, f, chunk, 0] = four.hh
+    amplitude_out[view, f, chunk, 1] = four.hv
+    amplitude_out[view, f, chunk, 2] = four.vh
+    amplitude_out[view, f, chunk, 3] = four.vv
+
+
 @wp.struct
 class Pair:
     """The fields of a tube whose incident wave is H, and V."""
@@ -254,10 +273,7 @@ def regions_kernel(
     s = radar_in[view].s
     u = radar_in[view].u
     v = radar_in[view].v
-    hh = wp.vec2d()
-    hv = wp.vec2d()
-    vh = wp.vec2d()
-    vv = wp.vec2d()
+    total = Four()
     for r in range(chunk * REGIONS, wp.min((chunk + 1) * REGIONS, region_in.shape[0])):
         if exact_in[view, r] != wp.uint8(0):
             region = region_in[r]
@@ -267,11 +283,5 @@ def regions_kernel(
                 four = slab_sent(stuff_in[f, region.material], k, integral, region.normal, s, u, v)
             else:
                 four = flat_sent(stuff_in[f, region.material], k, integral, region.normal, s, u, v)
-            hh += four.hh
-            hv += four.hv
-            vh += four.vh
-            vv += four.vv
-    amplitude_out[view, f, chunk, 0] = hh
-    amplitude_out[view, f, chunk, 1] = hv
-    amplitude_out[view, f, chunk, 2] = vh
-    amplitude_out[view, f, chunk, 3] = vv
+            total = plus(total, four)
+    keep(view, f, chunk, total, amplitude_out)

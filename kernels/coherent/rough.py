@@ -4,7 +4,7 @@ import warp as wp
 
 from warpsar.kernels.codes import Polarization
 from warpsar.kernels.coherent.numbers import product, root, turned
-from warpsar.kernels.coherent.radiate import FOUR_PI, Four
+from warpsar.kernels.coherent.radiate import FOUR_PI, Four, keep, plus
 from warpsar.kernels.coherent.tubes import TubeRadar, look
 from warpsar.kernels.scattering import bounded_cosine, bragg_terms, mirror_terms
 
@@ -146,19 +146,13 @@ def rough_kernel(
     """What SCATTERERS scatterers send back, shape (views, frequencies, chunks, 4)."""
     view, f, chunk = wp.tid()
     k = wavenumber_in[f]
-    hh = wp.vec2d()
-    hv = wp.vec2d()
-    vv = wp.vec2d()
+    total = Four()
     for i in range(SCATTERERS):
         j = chunk * SCATTERERS + i
         if j < scatterer_in.shape[0]:
             if seen_in[view, j] != wp.uint8(0):
                 place = scatterer_in[j]
                 four = scattered(radar_in[view], k, surface_in[place.material], variant, place)
-                hh += four.hh
-                hv += four.hv
-                vv += four.vv
-    amplitude_out[view, f, chunk, 0] = hh
-    amplitude_out[view, f, chunk, 1] = hv
-    amplitude_out[view, f, chunk, 2] = hv
-    amplitude_out[view, f, chunk, 3] = vv
+                total = plus(total, four)
+    total.vh = total.hv
+    keep(view, f, chunk, total, amplitude_out)

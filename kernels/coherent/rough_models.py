@@ -15,7 +15,7 @@ import warp as wp
 
 from warpsar.kernels.codes import Polarization, Variant
 from warpsar.kernels.coherent.numbers import product, root, turned
-from warpsar.kernels.coherent.radiate import FOUR_PI, Four
+from warpsar.kernels.coherent.radiate import FOUR_PI, Four, keep, plus
 from warpsar.kernels.coherent.rough import SCATTERERS, RoughSurface, Scatterer, scattered, turn_of
 from warpsar.kernels.coherent.tubes import TubeRadar, look
 from warpsar.kernels.parts import Lookup, Parts, parts_of_powers
@@ -178,9 +178,7 @@ def rough_kernel(model: str, termed: bool) -> wp.Kernel:
     ):
         view, f, chunk = wp.tid()
         k = wavenumber_in[f]
-        hh = wp.vec2d()
-        hv = wp.vec2d()
-        vv = wp.vec2d()
+        total = Four()
         for i in range(SCATTERERS):
             j = chunk * SCATTERERS + i
             if j < scatterer_in.shape[0]:
@@ -188,13 +186,9 @@ def rough_kernel(model: str, termed: bool) -> wp.Kernel:
                     place = scatterer_in[j]
                     row = f * surface_in.shape[0]
                     four = scattered_by_it(radar_in[view], k, surface_in, variant, place, tables, row, crossed_in[j])
-                    hh += four.hh
-                    hv += four.hv
-                    vv += four.vv
-        amplitude_out[view, f, chunk, 0] = hh
-        amplitude_out[view, f, chunk, 1] = hv
-        amplitude_out[view, f, chunk, 2] = hv
-        amplitude_out[view, f, chunk, 3] = vv
+                    total = plus(total, four)
+        total.vh = total.hv
+        keep(view, f, chunk, total, amplitude_out)
 
     return rough_kernel
 
