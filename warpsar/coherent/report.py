@@ -34,7 +34,7 @@ def write_report(out: Path, found: Rcs, content: dict[str, Any], command: Sequen
     _, _, f, p = (int(one) for one in np.unravel_index(decibels.argmax(), decibels.shape))
     best = rows[f * len(found.polarizations) + p]
     lead = (
-        f"warpsar rcs {content['version']}; {content['directions']} directions, {len(found.frequency_hz)} frequencies"
+        f"warpsar rcs {content['version']}; directions: {content['directions']}, frequencies: {len(found.frequency_hz)}"
     )
     highest = f"Highest: {best[3]} dBsm in {best[1]} at {best[0]} GHz, from azimuth {best[4]} and incidence {best[5]}."
     widths = content["interval"]["width_db"]
