@@ -106,6 +106,20 @@ def test_what_is_written_for_isce3_is_read_again(tmp_path: Path) -> None:
     )
     assert data["f0"].tolist() == ["N1", "N1", "N2"]
     np.testing.assert_allclose(data["f4"], 317.0)
+    assert out.read_text().splitlines()[0] == ",".join(ISCE3_COLUMNS[:12])
+
+
+def test_isce3s_column_of_shapes(tmp_path: Path) -> None:
+    """The thirteenth, of 2025: with and without names of columns, and written where a reflector needs it. The flags of
+    NISAR's S band count."""
+    row = "CR1,69.7,-128.3,490.0,317.1,12.9,2.5,2025-06-05T17:08:00,24,0,0,0,square\n"
+    header = NISAR.splitlines()[0] + ", Shape\n"
+    bare = read(write(tmp_path, row))
+    assert (bare[0].shape, bare[0].for_power, bare[0].for_place) == ("square", True, False)
+    assert read(write(tmp_path, header + row)) == bare
+    out = tmp_path / "isce3.csv"
+    assert write_isce3(out, bare) == []
+    assert read(out) == bare
     assert out.read_text().splitlines()[0] == ",".join(ISCE3_COLUMNS)
 
 
@@ -142,7 +156,7 @@ def test_what_isce3s_layout_cannot_say_is_named(tmp_path: Path) -> None:
         (OWN + "A,46,12,250,256,10,square,-1,,\n", "leg_m: found '-1'; must be a number from 0.01 to 100"),
         (OWN + "A,46,12,250,256,10,square,1,soon,\n", "from: found 'soon'; must be a date"),
         (OWN + "A,46,12,250,,,,,,\nA,46,12,250,,,,,,\n", "line 3: id: found 'A', as in line 2; must be there once"),
-        (NISAR.replace(", 7,", ", 9,"), "line 2: validity: found '9'; must be a number from 0 to 7"),
+        (NISAR.replace(", 7,", ", 32,"), "line 2: validity: found '32'; must be a number from 0 to 31"),
         (GECORIS.replace("SQUAREFLIPPED", "SQUAREBASED"), "crshape: found 'SQUAREBASED'"),
     ],
 )

@@ -20,7 +20,9 @@ from warpsar.world.earth import LocalEarth, ecef_to_geodetic, geodetic_to_ecef
 F64 = NDArray[np.float64]
 LARGEST_FILE = 2**24
 FARTHEST_SEARCH_M = 5000.0
-VALID_POWER, VALID_PLACE, ALL_VALID = 2, 4, 7
+VALID_POWER, VALID_PLACE, ALL_VALID = 2 | 16, 4, 7
+LARGEST_VALIDITY = 31
+"""NISAR's flags: 1 response, 2 power, 4 place; 8 response and 16 power in its S band."""
 ISCE3_COLUMNS = (
     "Corner reflector ID",
     "Latitude (deg)",
@@ -34,10 +36,11 @@ ISCE3_COLUMNS = (
     "Velocity East (m/s)",
     "Velocity North (m/s)",
     "Velocity Up (m/s)",
+    "Shape",
 )
-"""Of NISAR's table (B. Hawkins, Corner Reflector Software Interface Specification, JPL D-107698, 2023), which ISCE3 and
-nisarqa read; UAVSAR's has the first seven."""
-UAVSAR_COLUMNS = 7
+"""Of NISAR's table (B. Hawkins, Corner Reflector Software Interface Specification, JPL D-107698, 2025), which ISCE3 and
+nisarqa read. UAVSAR's has the first seven. The shape came last, in 2025: ISCE3 of before takes twelve alone."""
+UAVSAR_COLUMNS, SHAPELESS_COLUMNS = 7, 12
 NO_DATE = np.datetime64("1970-01-01", "us")
 ISCE3_AZIMUTH_DEG = 90.0
 """It counts azimuth from east, clockwise."""
@@ -76,7 +79,7 @@ class ReflectorSite:
     velocity_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """East, north, up, of the ground that it stands on."""
     validity: int = ALL_VALID
-    """NISAR's code, a sum of what it may be used for: 1 response, 2 power, 4 place; 0 is out of service."""
+    """NISAR's code, a sum of what it may be used for; 0 is out of service."""
 
     search_m: float | None = None
     """How far off its place may be, in azimuth and slant range [m], where it is not known; None where it is."""
@@ -172,7 +175,7 @@ def read(path: Path) -> list[ReflectorSite]:
 
 def _is_bare(cells: Sequence[str]) -> bool:
     """Whether this is a line of UAVSAR's or NISAR's table, without names of columns: ISCE3 needs none."""
-    if len(cells) not in (UAVSAR_COLUMNS, len(ISCE3_COLUMNS)):
+    if len(cells) not in (UAVSAR_COLUMNS, SHAPELESS_COLUMNS, len(ISCE3_COLUMNS)):
         return False
     try:
         return all(np.isfinite(float(cell)) for cell in cells[1:UAVSAR_COLUMNS])
@@ -291,9 +294,9 @@ def _isce3(row: _Row) -> ReflectorSite:
     tilt = next(key for key in row.cells if key.startswith("tilt"))
     facing = Facing(row.number("azimuth", -360.0, 720.0) + ISCE3_AZIMUTH_DEG, row.number(tilt, -90.0, 90.0))
     speed = [row.number(f"velocity {way}", -1.0, 1.0, 0.0) for way in ("east", "north", "up")]
-    validity = row.number("validity", 0, ALL_VALID, ALL_VALID)
+    validity = row.number("validity", 0, LARGEST_VALIDITY, ALL_VALID)
     if validity != int(validity):
-        raise row.refuse("validity", f"a whole number from 0 to {ALL_VALID}")
+        raise row.refuse("validity", f"a whole number from 0 to {LARGEST_VALIDITY}")
     return ReflectorSite(
         row.text("corner reflector id"),
         *place,
@@ -310,15 +313,15 @@ def _isce3(row: _Row) -> ReflectorSite:
 def isce3_rows(sites: Sequence[ReflectorSite]) -> tuple[list[list[str]], list[str]]:
     """Rows under `ISCE3_COLUMNS`, and a line for each reflector that the layout cannot say.
 
-    It has triangular trihedrals that stand upright, one attitude each: of two attitudes each has a row, ID-1 and ID-2.
+    It has trihedrals that stand upright, one attitude each: of two attitudes each has a row, ID-1 and ID-2.
     A survey holds until the next one. So the survey's date is that from which the reflector stands where no survey is
     known, and a row of validity 0 ends it.
     """
     rows, left_out = [], []
     for one in sites:
         why = None
-        if one.shape != "triangular" or any(facing.flipped for facing in one.facings):
-            why = "the layout has upright triangular trihedrals alone"
+        if any(facing.flipped for facing in one.facings):
+            why = "the layout has upright trihedrals alone"
         elif not one.facings or one.leg_m is None:
             why = "its leg or attitude is not known"
         elif "," in one.name or one.name.startswith("#"):
@@ -333,7 +336,7 @@ def isce3_rows(sites: Sequence[ReflectorSite]) -> tuple[list[list[str]], list[st
             velocity = [str(each) for each in one.velocity_m_s]
             dates = [(one.surveyed or one.start or NO_DATE, one.validity)]
             dates += [(one.end, 0)] if one.end is not None else []
-            rows += [[*known, _stamp(date), str(validity), *velocity] for date, validity in dates]
+            rows += [[*known, _stamp(date), str(validity), *velocity, one.shape] for date, validity in dates]
     return rows, left_out
 
 
@@ -342,10 +345,13 @@ def _stamp(date: np.datetime64) -> str:
 
 
 def write_isce3(path: Path, sites: Sequence[ReflectorSite]) -> list[str]:
-    """Write the table that ISCE3 and nisarqa read. Returns a line for each reflector that it cannot say."""
+    """Write the table that ISCE3 and nisarqa read. Returns a line for each reflector that it cannot say.
+
+    Without a square one the column of shapes is left out, so that older ISCE3 reads the table, too."""
     rows, left_out = isce3_rows(sites)
+    columns = len(ISCE3_COLUMNS) if any(row[-1] == "square" for row in rows) else SHAPELESS_COLUMNS
     with replacing(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
-        csv.writer(stream, lineterminator="\n").writerows([ISCE3_COLUMNS, *rows])
+        csv.writer(stream, lineterminator="\n").writerows(row[:columns] for row in (ISCE3_COLUMNS, *rows))
     return left_out
 
 
