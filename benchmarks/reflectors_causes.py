@@ -106,7 +106,9 @@ def main() -> None:
         print("kind: later values inside, and width; by a level of each reflector and pass alone")
     else:
         print("kind: all causes named, or tied to what is named; worlds with a cause that is not there (95 % bounds);")
-        print("      the interval holds; that over all ties; the interval where the true causes alone are named")
+        print(
+            "      the interval holds; that given the others as named; the latter where the true causes alone are named"
+        )
     start = time.perf_counter()
     with ProcessPoolExecutor(thread_count(), multiprocessing.get_context("spawn")) as pool:
         for kind in given.kinds:
@@ -121,7 +123,7 @@ def main() -> None:
 
 def judged(kind: str, seed: int) -> dict[str, Any]:
     """What is named in a world, which of it is false, which truths are missing, and of each truth that is named
-    whether its interval holds it, whether that over all ties does, and whether anything could stand for it."""
+    whether its interval holds it, and whether that does which takes the others as named."""
     off, truth = KINDS[kind]
     made = Differences.of(world(off, np.random.default_rng([list(KINDS).index(kind), seed, 3])))
     found = joint(made.part(bad_dates(made)[1]), causes)
@@ -134,8 +136,8 @@ def judged(kind: str, seed: int) -> dict[str, Any]:
             continue
         at = one.cause.parameters.index(parameter)
         held[name] = [
-            bool(one.low[at] <= value <= one.high[at]), bool(one.tied_low[at] <= value <= one.tied_high[at]),
-            [float(each[at]) for each in (one.values, one.low, one.high, one.tied_low, one.tied_high)],
+            bool(one.low[at] <= value <= one.high[at]), bool(one.given_low[at] <= value <= one.given_high[at]),
+            [float(each[at]) for each in (one.values, one.low, one.high, one.given_low, one.given_high)],
         ]  # fmt: skip
     return {
         "named": [one.cause.name for one in found.causes],
@@ -151,7 +153,7 @@ def judged_line(found: list[dict[str, Any]]) -> str:
     true = [each for one in found if len(one["held"]) == len(one["named"]) for each in one["held"].values()]
     shares = [
         f"{100 * np.mean([each[k] for each in some]):.0f} % of {len(some)}" if some else "-"
-        for some, k in ((held, 0), (held, 1), (true, 0))
+        for some, k in ((held, 0), (held, 1), (true, 1))
     ]
     bounds = f"({100 * bound(false, worlds, 0.025):.1f} to {100 * bound(false, worlds, 0.975):.1f} %)"
     return f"{sum(not one['missing'] for one in found)} of {worlds}; {false} of {worlds} {bounds}; {'; '.join(shares)}"

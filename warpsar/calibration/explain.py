@@ -153,7 +153,7 @@ def alone(every: Trials, early: Trials | None, late: Differences | None) -> list
             later[name] = float(by_image(fit, late).sum()) / len(late) - 0.5 * float(np.log(2.0 * np.pi))
     found = []
     for name, fit in fits_alone(every).items():
-        ((cause, x, low, high),) = intervals(fit.model, fit.free, fit.covariance)
+        ((cause, x, low, high),) = intervals(fit.model, fit.free, fit.covariance, every.data, fit.scatter)
         found.append(
             FittedCause(
                 cause, x, low, high, fit.fitted, fit.scatter.value, fit.log_likelihood, fit.bic, later.get(name)

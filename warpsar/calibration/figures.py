@@ -116,6 +116,10 @@ def series_figure(
             axes.plot(
                 date, [value for _, value in predicted], "_", color=colour, ms=9, mew=2.2, label=f"{name}: predicted"
             )
+    shown_dates = np.array([one.date for one in observations]).astype("datetime64[s]")
+    if np.ptp(shown_dates) < np.timedelta64(1, "D"):  # else an axis of years about one date
+        middle, reach = shown_dates.min(), np.timedelta64(10, "D")
+        axes.set_xlim((middle - reach).astype(object), (middle + reach).astype(object))
     axes.set_ylabel("RCS [dBsm]")
     axes.grid(alpha=0.3)
     axes.tick_params(axis="x", labelrotation=25)

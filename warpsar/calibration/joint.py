@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares, lsq_linear, minimize
-from scipy.special import ndtri
+from scipy.special import stdtrit
 
 from warpsar.calibration.causes import Cause, Situation
 from warpsar.calibration.chance import ModelledValues, TriedCause, chance_of_gain
@@ -157,12 +157,20 @@ def fit_model(
     )
 
 
-def intervals(model: CauseModel, free: F64, covariance: F64) -> list[tuple[Cause, F64, F64, F64]]:
-    """Of each cause: its values, and both ends of their 90 % intervals; of what is held, the value itself."""
-    z, made = float(ndtri(0.5 + 0.5 * CONFIDENCE)), []
+def intervals(
+    model: CauseModel, free: F64, covariance: F64, data: Differences, scatter: ExtraScatter
+) -> list[tuple[Cause, F64, F64, F64]]:
+    """Of each cause: its values, and both ends of their 90 % intervals; of what is held, the value itself.
+
+    By Student's t, as the scatters come from the same values: from as many images where images scatter. Clutter's part
+    is known (Satterthwaite)."""
+    groups = np.unique(data.image).size if scatter.image else len(data)
+    known = float(np.median(data.sd**2)) / (scatter.value**2 + scatter.image**2)
+    freedom = max(groups - free.size, 1) * (1.0 + known) ** 2
+    t, made = float(stdtrit(freedom, 0.5 + 0.5 * CONFIDENCE)), []
     errors = model.full(np.sqrt(np.maximum(np.diag(covariance), 0.0)))
     for cause, x, held, error in zip(model.causes, model.full(free), model.fixed, errors, strict=True):
-        reach = np.where(held, 0.0, z * error)
+        reach = np.where(held, 0.0, t * error)
         made.append((cause, x, np.maximum(x - reach, cause.low), np.minimum(x + reach, cause.high)))
     return made
 
@@ -326,15 +334,15 @@ def fits_alone(trials: Trials) -> dict[str, CauseFit]:
 
 @dataclass(frozen=True)
 class JointCause:
-    """A cause among others, with 90 % intervals in which the others are free, too."""
+    """A cause among others, with 90 % intervals in which the others are free, too, and may be what stands for them."""
 
     cause: Cause
     values: F64
     low: F64
     high: F64
-    tied_low: F64
-    tied_high: F64
-    """Ends of all its intervals, beside all that could stand for the other causes."""
+    given_low: F64
+    given_high: F64
+    """The interval if the other causes are those that are named: it does not hold where one of them is another one."""
     gain: float
     """Log-likelihood of all dates that it adds to the other causes."""
     held_gain: float | None
@@ -345,8 +353,8 @@ class JointCause:
 
     def content(self) -> dict[str, object]:
         """For JSON."""
-        ends = self.low, self.high, self.tied_low, self.tied_high
-        keys = "value", "low", "high", "tied_low", "tied_high"
+        ends = self.low, self.high, self.given_low, self.given_high
+        keys = "value", "low", "high", "given_low", "given_high"
         rows = zip(self.values, *ends, strict=True)
         numbers = [dict(zip(keys, map(float, values), strict=True)) for values in rows]
         return {
@@ -403,8 +411,8 @@ class JointFit:
             "image_scatter": self.scatter.image,
             "bic_over_none": self.without,
             "held_dates": self.held_dates,
-            "intervals": "low to high: of the cause if it is the right one; tied_low to tied_high: over all that could "
-            "stand for the others",
+            "intervals": "low to high: over all that could stand for the other causes; given_low to given_high: if "
+            "the others are those that are named",
         }
 
 
@@ -446,13 +454,13 @@ def joint(
         fit = asked_again(step.after, fit.model.causes, every, needed, tested)
     stands, others = _stands(fit, every, situations)
     found = []
-    for cause, x, low, high in intervals(fit.model, fit.free, fit.covariance):
+    for cause, x, low, high in intervals(fit.model, fit.free, fit.covariance, data, fit.scatter):
         held_gain, held_error = tested.get(cause.name, (None, None))
         gain = fit.log_likelihood - _without(fit, cause, data).log_likelihood
         ends = [(a, b) for each in others for c, _, a, b in each if c is cause]
         lowest = np.min([low, *(np.where(b > a, a, low) for a, b in ends)], axis=0)
         highest = np.max([high, *(np.where(b > a, b, high) for a, b in ends)], axis=0)
-        found.append(JointCause(cause, x, low, high, lowest, highest, gain, held_gain, held_error))
+        found.append(JointCause(cause, x, lowest, highest, low, high, gain, held_gain, held_error))
     return JointFit(
         tuple(found), tuple(stands), tuple(_together(fit)),
         fit.scatter, fit, bare.bic - fit.bic, 0 if late is None else int(np.unique(late.days).size),
@@ -613,7 +621,8 @@ def _stands(
                 if off > apart + 1e-6:
                     apart, best = off, situation.words
             found.append(Stand(cause.name, other.name, more, best, apart))
-            others.append(intervals(model, free, _covariance(errors.whitened(_slopes(model, data, free)))))
+            covariance = _covariance(errors.whitened(_slopes(model, data, free)))
+            others.append(intervals(model, free, covariance, data, fit.scatter))
     return sorted(found, key=lambda one: one.bic), others
 
 
@@ -639,25 +648,16 @@ def _together(fit: CauseFit) -> list[tuple[str, str, float]]:
     ]
 
 
-def values_words(cause: Cause, values: F64, low: F64, high: F64, tied: tuple[F64, F64] | None = None) -> str:
-    """Parameters with intervals, and with `tied` ends where those lie well beyond."""
+def values_words(cause: Cause, values: F64, low: F64, high: F64) -> str:
+    """Parameters with intervals."""
     words = []
-    for name, v, a, b, c, d in zip(cause.parameters, values, low, high, *(tied or (low, high)), strict=True):
+    for name, v, a, b in zip(cause.parameters, values, low, high, strict=True):
         if b <= a and (v == 0.0 or name in WORDED):
             continue
-        ends = f"{a:.3g} to {b:.3g}" if b > a else ""
-        if d - c > 1.5 * (b - a):
-            ends += f"; {c:.3g} to {d:.3g} over all ties"
         title, _, unit = name.partition(" [")
-        words.append(
-            f"{title} {v if abs(v) > 1e-9 else 0.0:.3g}{f' ({ends})' if ends else ''} {unit.rstrip(']')}".rstrip()
-        )
+        ends = f" ({a:.3g} to {b:.3g})" if b > a else ""
+        words.append(f"{title} {v if abs(v) > 1e-9 else 0.0:.3g}{ends} {unit.rstrip(']')}".rstrip())
     return ", ".join(words)
-
-
-def joint_values_words(one: JointCause) -> str:
-    """Its parameters, with both kinds of intervals."""
-    return values_words(one.cause, one.values, one.low, one.high, (one.tied_low, one.tied_high))
 
 
 def together_words(found: JointFit, unit: str = "dB") -> list[str]:
@@ -670,7 +670,7 @@ def together_words(found: JointFit, unit: str = "dB") -> list[str]:
         tested += UNCONFIRMED if found.held_dates else "they are too few to hold some back"
         if one.held_gain is not None:
             tested = f"the {found.held_dates} later dates confirm it (ln L {one.held_gain:+.1f})"
-        words.append(f"{one.cause.title} ({joint_values_words(one)}; {tested})")
+        words.append(f"{one.cause.title} ({values_words(one.cause, one.values, one.low, one.high)}; {tested})")
     spread = f"{found.scatter.value:.2f} {unit} are left from value to value"
     spread += f", {found.scatter.image:.2f} {unit} from image to image" if found.scatter.image else ""
     told = ["Together: " + "; ".join(words) + f". {spread}."]

@@ -14,7 +14,7 @@ from warpsar.calibration.explain import Explanation
 from warpsar.calibration.figures import incidence_figure, map_figure, offset_figure, series_figure
 from warpsar.calibration.forecast import Forecast
 from warpsar.calibration.geolocation import Geolocation
-from warpsar.calibration.joint import joint_values_words, values_words
+from warpsar.calibration.joint import values_words
 from warpsar.calibration.measure import Cutout, ReflectorObservation
 from warpsar.calibration.table import row
 from warpsar.io import html as report
@@ -28,6 +28,7 @@ SHOWN_CELLS = 6.0
 TABLE = {
     "id": "id",
     "date": "date",
+    "polarization": "pol.",
     "status": "status",
     "line": "line",
     "pixel": "pixel",
@@ -175,12 +176,12 @@ def _together(explanation: Explanation) -> str:
         none = "not confirmed" if found.held_dates else "not tried"
         held = none if one.held_gain is None else f"{one.held_gain:+.1f}"
         held += f" ± {one.held_error:.1f}" if one.held_error is not None and np.isfinite(one.held_error) else ""
-        words = joint_values_words(one)
+        words = values_words(one.cause, one.values, one.low, one.high)
         rows.append([one.cause.title, words, f"{one.gain:+.1f}", held])
     said = (
         "Causes are added one after the other while the earlier dates need them and the later ones, which do not "
         "choose, become more likely; each is then asked again beside the others. Intervals of 90 % let the other "
-        "causes move. Of the scatter that is left, "
+        "causes move, and hold all that could stand for them. Of the scatter that is left, "
         f"{found.scatter.value:.2f} dB are of each value and {found.scatter.image:.2f} dB of each image."
     )
     blocks = [report.paragraph(said, quiet=True)]
@@ -259,7 +260,7 @@ def _cutouts(observations: Sequence[ReflectorObservation]) -> str:
     for one, measured, model in pairs:
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = 10.0 * np.log10(measured / model)
-        name = f"{one.site.name}, {str(one.date)[:10]}"
+        name = ", ".join(filter(None, (one.site.name, str(one.date)[:10], one.polarization)))
         name += "" if one.status == "measured" else f", {one.status}"
         axes = _axes(one)
         for power, what in ((measured, "measured"), (model, "predicted")):
@@ -344,7 +345,7 @@ def _table(observations: Sequence[ReflectorObservation]) -> str:
         for name in TABLE:
             value = values[name]
             unknown = value is None or (isinstance(value, float) and not np.isfinite(value))
-            cells.append("" if unknown else f"{value:.2f}" if isinstance(value, float) else str(value))
+            cells.append("" if unknown else f"{value:z.2f}" if isinstance(value, float) else str(value))
         rows.append(cells)
     caption = "" if len(observations) <= MOST_ROWS else f"The first {MOST_ROWS}; reflectors.csv has all."
     return report.section("All values", report.table(list(TABLE.values()), rows, caption))
