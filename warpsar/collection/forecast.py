@@ -156,6 +156,8 @@ def forecast(bodies: Bodies, plans: Sequence[Plan], product: str) -> CollectionF
             seconds += again * (kind.seconds * len(knots) + deposit.each * several * float(np.sum(seen)))
         pulses = 1 if once else len(plan.track)
         batches = math.ceil(max(scatterers, 1.0) / len(plans) / bodies.together)
+        if history.holds_bins(plan, len(world.radar.polarizations), bodies.device):
+            batches = 1
         seconds += 0.0 if once else deposit.whole * pulses * batches
     held = max(held_gib(world, plan, product) for plan in plans)
     gib = held + min(bodies.together, scatterers / len(plans)) * _HELD_BYTES / 2**30
