@@ -23,7 +23,7 @@ from warpsar.collection.bodies import TILE_BYTES, Bodies
 from warpsar.collection.history import beam_of, spread_transform_at
 from warpsar.collection.plan import Plan
 from warpsar.collection.response import band_weights
-from warpsar.collection.scatterers import FAR_FIELD, Scatterers, Stream
+from warpsar.collection.scatterers import FAR_FIELD, Scatterers, Stream, rough_sight
 from warpsar.collection.slc import Slc
 from warpsar.errors import InputError
 from warpsar.kernels import collection as kernels
@@ -183,8 +183,7 @@ def rough_of(bodies: Bodies, plan: Plan, progress: Any = None) -> Seen:
     world, body, patches = bodies.world, bodies.of(plan), bodies.patches(plan)
     k = 2.0 * np.pi * plan.centre_hz / SPEED_OF_LIGHT
     worker = places.worker_of(body, k, ("rough",), 1, 1.0)
-    sensor = plan.track.towards()[plan.middle] * plan.track.reference_m()[plan.middle]
-    radar = places.sight(body, sensor)[1]
+    radar = rough_sight(plan, body, plan.middle)
     columns = tuple(POLARIZATIONS.index(name[::-1]) for name in world.radar.polarizations)
 
     def seen(frame: Any, low: F64, high: F64) -> Iterator[DeviceScatterers]:

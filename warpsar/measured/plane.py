@@ -50,9 +50,9 @@ EXPANDED_TURNS = 2e-5
 FLAT_M = 1e-6
 """How far a plane grid may be from one in the frame of a history [m]."""
 _OVERSAMPLING = 2.0
-"""Of a coarse image: `TAPS` taps then hold it to 80 dB."""
-_BETA = 11.0
-"""Of the Kaiser window of the taps."""
+"""Of a coarse image: `TAPS` taps then hold it to 72 dB."""
+_BETA = 7.0
+"""Of the Kaiser window of the taps: 56 dB are left at 11, and 70 at 6."""
 _REFINED = 2.0
 """What a pixel costs to interpolate, over what a pulse costs it."""
 
