@@ -336,7 +336,7 @@ def places_kernel(
 @pytest.mark.parametrize("turning", [(0.0, 1.0), (1.0, 1.0), (1.0, -0.3)])
 def test_the_place_of_bounces_has_their_way_and_its_change(turning: tuple[float, float]) -> None:
     """Where a wave enters and leaves at places 3 m apart, 60 degrees between the antennas: the way to 1 um, and its
-    change over 0.1 degrees of each antenna's own path to 20 um. Midway it is wrong by more than 1 mm."""
+    change over 0.1 degrees of each antenna's own path to 20 um. Midway it is wrong by more than 0.5 mm."""
     made = scene(field(4.0, 4.0), material={"conductor": True}, radar={"terms": ("single",)})
     body = CoherentBody.of(made, devices.resolve_device("cpu"))
     ends = [FAR * toward(0.0, 30.0), FAR * toward(180.0, 30.0)]
@@ -363,7 +363,7 @@ def test_the_place_of_bounces_has_their_way_and_its_change(turning: tuple[float,
     change = way(entry, leave, moved=angle) - way(entry, leave)
     np.testing.assert_allclose(way(found, found, moved=angle) - way(found, found), change, atol=2e-5)
     midway = 0.5 * (entry + leave)
-    assert np.abs(way(midway, midway, moved=angle) - way(midway, midway) - change).max() > 1e-3
+    assert np.abs(way(midway, midway, moved=angle) - way(midway, midway) - change).max() > 5e-4
 
 
 @pytest.mark.parametrize(
