@@ -283,7 +283,7 @@ def walled(a: float) -> warpsar.Mesh:
     return warpsar.Mesh.of(vertices, faces, face_material=np.array([0, 0, 1, 1]), materials=("ground", "wall"))
 
 
-def recorded(transmitter_m: F64 | None, receiver: F64, **more: Any) -> NDArray[np.complex128]:
+def recorded(transmitter_m: F64 | None, receiver: F64, device: str = "cpu", **more: Any) -> NDArray[np.complex128]:
     """All samples of ground before a wall, (4, frequencies, pulses)."""
     azimuth, incidence = np.rad2deg([np.arctan2(receiver[0], receiver[1]), np.arccos(receiver[2])])
     apart = {} if transmitter_m is None else {"transmitter": Transmitter(position_m=tuple(transmitter_m), **more)}
@@ -294,7 +294,7 @@ def recorded(transmitter_m: F64 | None, receiver: F64, **more: Any) -> NDArray[n
         collection={"pulses": 32, "aperture_deg": 0.1, "resolution_m": None, "bandwidth_hz": 1e8, **apart},
     )
     made = replace(made, materials={"ground": warpsar.Material(**ROUGH), "wall": warpsar.Material(conductor=True)})
-    (found,) = warpsar.phase_history(made, device="cpu")
+    (found,) = warpsar.phase_history(made, device=device)
     return found.samples.astype(complex)
 
 
@@ -306,6 +306,14 @@ def test_antennas_beside_each_other_are_one() -> None:
     assert np.abs(two - one).max() < 0.01 * np.abs(one).max()
     crossed = np.abs(one[1]).max()
     assert np.abs(two[1:3] - one[1:3]).max() < 0.02 * crossed
+
+
+@pytest.mark.cuda
+def test_a_gpu_says_the_same() -> None:
+    """To 1 % of the strongest sample: rays along the edges of faces."""
+    ends = FAR * toward(-60.0, 40.0), toward(50.0, 50.0)
+    one, other = (recorded(*ends, device) for device in ("cpu", "cuda"))
+    assert np.abs(one - other).max() < 0.01 * np.abs(one).max()
 
 
 @pytest.mark.full
