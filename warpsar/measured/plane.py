@@ -117,7 +117,8 @@ def part_of(history: PhaseHistory, plane: Plane) -> _Part | None:
     """The parts that take the least work; None where none takes less than the whole aperture at once.
 
     The phase of a pulse less that of its part's middle turns along a row by 2 f / c times the change of the line of
-    sight. That is the width of the part's spectrum.
+    sight. Of the ends of the band it turns by half the band, 2 B / 2 c, times the line of sight itself. Both together
+    are the width of the part's spectrum.
     """
     count, columns = history.position_m.shape[0], plane.shape[1]
     places = [history.position_m if history.transmitter_m is None else history.transmitter_m, history.position_m]
@@ -128,6 +129,7 @@ def part_of(history: PhaseHistory, plane: Plane) -> _Part | None:
         along += 0.5 * (to @ plane.column_m) / np.linalg.norm(to, axis=2)
     step = history.frequency_step_hz * history.samples.shape[0]
     turns = 2.0 * (history.frequency_start_hz + step).max() / SPEED_OF_LIGHT
+    ends = float(step.max()) / SPEED_OF_LIGHT * float(np.abs(along).max())
     best, least = None, 0.9
     for pulses in (16, 32, 64, 128, 256, 512):
         if pulses > count // 2:
@@ -136,7 +138,7 @@ def part_of(history: PhaseHistory, plane: Plane) -> _Part | None:
         for first in range(0, count, pulses):
             mine = along[first : first + pulses]
             wide = max(wide, float(np.abs(mine - mine[len(mine) // 2]).max()))
-        every = int(1.0 / (_OVERSAMPLING * 2.0 * wide * turns)) if wide > 0.0 else columns
+        every = min(int(1.0 / (_OVERSAMPLING * 2.0 * max(wide * turns + ends, 1e-12))), columns)
         work = (1.0 / every + (TAPS + 1) / columns) + _REFINED / pulses if every > 1 else 1.0
         if work < least:
             best, least = _Part(pulses, every), work
