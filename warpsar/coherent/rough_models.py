@@ -48,7 +48,7 @@ def kind_of(material: Material) -> int:
 def backscatter_alone(materials: Iterable[Material], variant: int) -> list[str]:
     """What rough faces of these materials send back toward the transmitter alone, in words."""
     rough = [each for each in materials if each.rms_height_m != 0.0]
-    found = {f'the model "{each.model}"' for each in rough if each.model != "ka_spm"}
+    found = {f'the model "{each.model}"' for each in rough if kind_of(each) > 1}  # 0 and 1 are those of the first one
     found |= {"a learned term" for each in rough if each.learned_term is not None}
     if rough and variant == Variant.AS_PRINTED:
         found.add('radar.variant "as_printed"')
