@@ -116,7 +116,8 @@ def deposit(device: wp.Device, small: bool) -> dict[str, Any]:
 
 def _launched(plan: Plan, shared: Any, parts: list[Any], device: wp.Device) -> None:
     """All pulses' deposits, on CUDA in one launch; without transfers and FFT."""
-    histories.deposited(plan, shared, parts, 1, slice(0, len(plan.track)))
+    every = slice(0, len(plan.track))
+    histories.deposited(plan, shared, parts, every, histories.no_bins(plan, 1, every, device))
 
 
 def town(device: wp.Device, small: bool) -> dict[str, Any]:
@@ -298,6 +299,7 @@ def wide_history(device: wp.Device, small: bool) -> dict[str, Any]:
     plans = [plan_of(scene, view, device) for view in scene.views]
     room = room_of(scene, plans, "phase-history", device, None)
     told = forecast(Bodies(scene, plans, device, 0, room.together, room.tile_bytes), plans, "phase-history")
+    print("forecast:", told, file=sys.stderr, flush=True)
     started, cpu = time.perf_counter(), time.process_time()
     made = warpsar.phase_history(scene, device=device.alias)[0]
     spent, cpu_s = time.perf_counter() - started, time.process_time() - cpu

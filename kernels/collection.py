@@ -9,13 +9,13 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from warpsar.kernels.coherent.diffuse import diffused
+from warpsar.kernels.coherent.diffuse import diffused, there_and_back
 from warpsar.kernels.coherent.edges import Edge, diffracted
 from warpsar.kernels.coherent.numbers import product, turned
 from warpsar.kernels.coherent.placing import Patches
-from warpsar.kernels.coherent.radiate import Four, Pair, bounced_fields, sent, tube_factor, unit
+from warpsar.kernels.coherent.radiate import Four, Pair, bounced_fields, plus, sent, tube_factor, unit
 from warpsar.kernels.coherent.reflection import Face
-from warpsar.kernels.coherent.rough import RoughSurface, Scatterer, scattered_toward
+from warpsar.kernels.coherent.rough import RoughSurface, Scatterer, scattered_between, scattered_toward
 from warpsar.kernels.coherent.tubes import Hit, TubeRadar, look
 
 WIDTH = wp.constant(6)
@@ -116,6 +116,29 @@ def rough_places_kernel(
 
 
 @wp.kernel(enable_backward=False)
+def rough_places_apart_kernel(
+    # In:
+    radar_in: wp.array[TubeRadar],
+    k: wp.float64,
+    surface_in: wp.array[RoughSurface],
+    scatterer_in: wp.array[Scatterer],
+    seen_in: wp.array2d[wp.uint8],
+    # Out:
+    amplitude_out: wp.array2d[wp.vec2],
+):
+    """`rough_places_kernel` of two antennas, which both must see the place: transmitter and receiver."""
+    i = wp.tid()
+    if seen_in[0, i] == wp.uint8(0) or seen_in[1, i] == wp.uint8(0):
+        return
+    place = scatterer_in[i]
+    four = scattered_between(radar_in[0], radar_in[1], k, surface_in[place.material], place)
+    amplitude_out[i, 0] = in_float(four.hh)
+    amplitude_out[i, 1] = in_float(four.hv)
+    amplitude_out[i, 2] = in_float(four.vh)
+    amplitude_out[i, 3] = in_float(four.vv)
+
+
+@wp.kernel(enable_backward=False)
 def edge_places_kernel(
     # In:
     radar_in: wp.array[TubeRadar],
@@ -134,16 +157,37 @@ def edge_places_kernel(
     keep_without_phase(amplitude_out, i, four, radar_in[0], k, edge.middle)
 
 
-@wp.func
-def effective_place(radar: TubeRadar, entry: wp.vec3d, leave: wp.vec3d, way: wp.float64) -> wp.vec3d:
-    """Where a single bounce would have the same way, half of it each, and the same change of it with the direction.
+@wp.struct
+class Rates:
+    """How fast the directions to both antennas turn: changes of the unit vectors, per pulse; zero for one antenna."""
 
-    The way changes as -s . (entry + leave): the place lies halfway between them across the look direction.
+    transmitter: wp.vec3d
+    receiver: wp.vec3d
+
+
+@wp.func
+def effective_place(
+    radar: TubeRadar, receiver: TubeRadar, rates: Rates, entry: wp.vec3d, leave: wp.vec3d, way: wp.float64
+) -> wp.vec3d:
+    """Where a single bounce would have the same way, and the same change of it as the antennas move.
+
+    The way changes by -(change of the direction to the transmitter) . entry, and likewise for the receiver and
+    `leave`. Of one antenna the place lies halfway between them across the look direction.
     """
+    turning = rates.transmitter + rates.receiver
     place = wp.float64(0.5) * (entry + leave)
     for _ in range(3):
-        sight = look(radar, place, 0.0)
-        place = place - (wp.float64(0.5) * way - sight.back) * sight.s
+        there = look(radar, place, 0.0)
+        back = look(receiver, place, 0.0)
+        both = there.s + back.s
+        size = wp.dot(both, both)
+        across = turning - wp.dot(turning, both) / size * both
+        if wp.length(across) > wp.float64(1.0e-6) * wp.length(turning):
+            missing = wp.dot(rates.transmitter, entry - place) + wp.dot(rates.receiver, leave - place)
+            place = place + missing / wp.dot(across, across) * across
+            there = look(radar, place, 0.0)
+            back = look(receiver, place, 0.0)
+        place = place - (way - there.back - back.back) / size * both
     return place
 
 
@@ -151,13 +195,15 @@ def effective_place(radar: TubeRadar, entry: wp.vec3d, leave: wp.vec3d, way: wp.
 def tube_places_kernel(
     # In:
     radar_in: wp.array[TubeRadar],
+    receiver_in: wp.array[TubeRadar],
+    rates: Rates,
     k: wp.float64,
     stuff_in: wp.array2d[Face],
     material_in: wp.array[int],
     hits_in: wp.array2d[Hit],
     count_in: wp.array[int],
     single: int,
-    apart: wp.vec3d,  # half of the unit vector to the transmitter less that to the receiver
+    more: int,
     surface_in: wp.array[RoughSurface],
     log_factorial_in: wp.array[wp.float64],
     diffuse: int,
@@ -169,11 +215,13 @@ def tube_places_kernel(
 ):
     """Of every hit of a ray its effective place (rays, bounces) [m], its amplitude (rays, bounces, 4) [m], its face.
 
-    The first hit counts on smooth faces alone, with `single`: rough faces have places of their own. Further hits on
-    rough faces scatter, with `diffuse`, beside what their currents send.
+    The first hit counts on smooth faces alone, with `single`: rough faces have places of their own. Further ones send
+    by their currents with `more`. Those on rough faces scatter, too: with `diffuse` 1 on the way back as well, which is
+    as long where the receiver is the transmitter, and with 2 on the way there alone.
     """
     ray = wp.tid()
     radar = radar_in[0]
+    receiver = receiver_in[0]
     fields = Pair()
     fields.h = unit(radar.u)
     fields.v = unit(radar.v)
@@ -181,24 +229,30 @@ def tube_places_kernel(
         hit = hits_in[b, ray]
         stuff = stuff_in[0, material_in[hit.face]]
         back = bounced_fields(stuff, k, fields, hit.d, hit.normal)
+        rough = stuff.rms_height > wp.float64(0.0)
         counts = hit.seen
+        currents = more
         if b == 0:
-            if single == 0 or stuff.rms_height > wp.float64(0.0):
+            currents = single
+            if rough:
                 counts = 0
+        if currents == 0 and (diffuse == 0 or b == 0 or not rough):
+            counts = 0
         if counts != 0:
-            sight = look(radar, hit.point, 0.0)
-            four = sent(tube_factor(k, hit, sight), fields, back, hit.d, hit.normal, sight.s, radar.u, radar.v)
-            if b > 0 and diffuse != 0 and stuff.rms_height > wp.float64(0.0):
+            sight = look(receiver, hit.point, 0.0)
+            four = Four()
+            if currents != 0:
+                factor = tube_factor(k, hit, sight)
+                four = sent(factor, fields, back, hit.d, hit.normal, sight.s, receiver.u, receiver.v)
+            if b > 0 and diffuse != 0 and rough:
                 surface = surface_in[material_in[hit.face]]
-                more = diffused(radar, k, surface, fields, hit, seed, log_factorial_in)
-                four.hh += more.hh
-                four.hv += more.hv
-                four.vh += more.vh
-                four.vv += more.vv
+                scattered = diffused(receiver, k, surface, fields, hit, seed, log_factorial_in)
+                if diffuse == 1:
+                    scattered = there_and_back(scattered)
+                four = plus(four, scattered)
             way = sight.back + hit.path
-            # The way of two antennas changes by -apart . (entry - leave) over that of one halfway between them.
-            turn = turned(k * (way + wp.dot(apart, hits_in[0, ray].point - hit.point)))
-            place_out[ray, b] = effective_place(radar, hits_in[0, ray].point, hit.point, way)
+            turn = turned(k * way)
+            place_out[ray, b] = effective_place(radar, receiver, rates, hits_in[0, ray].point, hit.point, way)
             face_out[ray, b] = hit.face
             amplitude_out[ray, b, 0] = unphased(four.hh, turn)
             amplitude_out[ray, b, 1] = unphased(four.hv, turn)

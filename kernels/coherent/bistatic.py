@@ -78,6 +78,19 @@ def higher_orders(
 
 
 @wp.func
+def azimuth_cos2(q: wp.vec3d, n: wp.vec3d) -> wp.float64:
+    """Of the angle between the part of `q` in a facet and the facet's x axis, as in kernels/geometry.py."""
+    x = wp.vec3d(-n[1], n[0], wp.float64(0.0))
+    if wp.length(x) < wp.float64(1.0e-6):
+        x = wp.vec3d(wp.float64(1.0), wp.float64(0.0), wp.float64(0.0))
+    along = q - wp.dot(q, n) * n
+    if wp.length(along) <= wp.float64(1.0e-6) * wp.length(q):
+        return wp.float64(1.0)
+    ratio = wp.dot(wp.normalize(along), wp.normalize(x))
+    return ratio * ratio
+
+
+@wp.func
 def diffuse_shares(
     spectrum: int,
     q: wp.vec3d,

@@ -6,7 +6,7 @@ weights. Nodes and not tubes are what is drawn, so another tracing of the same s
 
 import warp as wp
 
-from warpsar.kernels.coherent.bistatic import diffuse_shares, first_order, mirrored
+from warpsar.kernels.coherent.bistatic import azimuth_cos2, diffuse_shares, first_order, mirrored
 from warpsar.kernels.coherent.numbers import product, root, sinc, turned
 from warpsar.kernels.coherent.radiate import FOUR_PI, HALF_PI, Four, Pair
 from warpsar.kernels.coherent.reflection import Face
@@ -79,7 +79,7 @@ def evened(q: wp.vec3d, n: wp.vec3d, axis: int, step: wp.float64) -> wp.float64:
 
 @wp.func
 def diffused(
-    radar: TubeRadar,
+    receiver: TubeRadar,
     k: wp.float64,
     rough: RoughSurface,
     fields: Pair,
@@ -87,30 +87,22 @@ def diffused(
     seed: int,
     log_factorial: wp.array[wp.float64],
 ) -> Four:
-    """What a rough face scatters of a tube to the radar, and the way back, which is as long: both add up as fields.
+    """What a rough face scatters of a tube to the receiver.
 
     In the mean it is the bistatic coefficient of `multibounce` in images of power.
     """
-    sight = look(radar, hit.point, 0.0)
+    sight = look(receiver, hit.point, 0.0)
     d = hit.d
     n = hit.normal
     s = sight.s
-    u = radar.u
-    v = radar.v
+    u = receiver.u
+    v = receiver.v
     q = k * (s - d)
-    x = wp.vec3d(-n[1], n[0], wp.float64(0.0))  # the facet's x axis, as in kernels/geometry.py
-    if wp.length(x) < wp.float64(1.0e-6):
-        x = wp.vec3d(ONE, wp.float64(0.0), wp.float64(0.0))
-    along = q - wp.dot(q, n) * n
-    cos2 = ONE
-    if wp.length(along) > wp.float64(1.0e-6) * wp.length(q):
-        ratio = wp.dot(wp.normalize(along), wp.normalize(x))
-        cos2 = ratio * ratio
     share = diffuse_shares(
         rough.spectrum,
         q,
         n,
-        cos2,
+        azimuth_cos2(q, n),
         k,
         rough.rms_height,
         rough.length[0],
@@ -137,13 +129,24 @@ def diffused(
     flat.conductor = 0
     flat.layer = 0
     flat.permittivity = rough.permittivity
-    two = wp.float64(2.0)
     found = Four()
-    found.hh = two * product(bragg, first_order(flat, k, fields.h, d, n, s, u))
-    found.hh += two * product(mirror, mirrored(flat, k, fields.h, d, s, u))
-    found.vv = two * product(bragg, first_order(flat, k, fields.v, d, n, s, v))
-    found.vv += two * product(mirror, mirrored(flat, k, fields.v, d, s, v))
-    found.hv = product(bragg, first_order(flat, k, fields.v, d, n, s, u) + first_order(flat, k, fields.h, d, n, s, v))
-    found.hv += product(mirror, mirrored(flat, k, fields.v, d, s, u) + mirrored(flat, k, fields.h, d, s, v))
+    found.hh = product(bragg, first_order(flat, k, fields.h, d, n, s, u))
+    found.hh += product(mirror, mirrored(flat, k, fields.h, d, s, u))
+    found.vv = product(bragg, first_order(flat, k, fields.v, d, n, s, v))
+    found.vv += product(mirror, mirrored(flat, k, fields.v, d, s, v))
+    found.hv = product(bragg, first_order(flat, k, fields.v, d, n, s, u))
+    found.hv += product(mirror, mirrored(flat, k, fields.v, d, s, u))
+    found.vh = product(bragg, first_order(flat, k, fields.h, d, n, s, v))
+    found.vh += product(mirror, mirrored(flat, k, fields.h, d, s, v))
+    return found
+
+
+@wp.func
+def there_and_back(one: Four) -> Four:
+    """`diffused`, and the same way the other way round, which is as long where both antennas are one: as fields."""
+    found = Four()
+    found.hh = one.hh + one.hh
+    found.vv = one.vv + one.vv
+    found.hv = one.hv + one.vh
     found.vh = found.hv
     return found

@@ -3,10 +3,12 @@
 import warp as wp
 
 from warpsar.kernels.codes import Polarization
+from warpsar.kernels.coherent.bistatic import PI, azimuth_cos2, first_order, mirrored
 from warpsar.kernels.coherent.numbers import product, root, turned
-from warpsar.kernels.coherent.radiate import FOUR_PI, Four, keep, plus
+from warpsar.kernels.coherent.radiate import FOUR_PI, Four, keep, plus, unit
+from warpsar.kernels.coherent.reflection import Face
 from warpsar.kernels.coherent.tubes import TubeRadar, look
-from warpsar.kernels.scattering import bounded_cosine, bragg_terms, mirror_terms
+from warpsar.kernels.scattering import bounded_cosine, bragg_terms, mirror_terms, roughness_spectrum
 
 SCATTERERS = wp.constant(64)
 """Scatterers that one thread adds up."""
@@ -128,6 +130,54 @@ def scattered_toward(
     found.hv = product(bragg, model.hv)
     found.vh = found.hv
     found.vv = product(bragg, model.vv) + mirror
+    return found
+
+
+@wp.func
+def scattered_between(
+    radar: TubeRadar, receiver: TubeRadar, k: wp.float64, rough: RoughSurface, place: Scatterer
+) -> Four:
+    """What a scatterer sends from a transmitter to a receiver apart from it, without the phase of the ways.
+
+    Small perturbation of first order and geometric optics, as `scattered` of one antenna, which it equals there. Both
+    must be on one side of the face.
+    """
+    one = wp.float64(1.0)
+    there = look(radar, place.point, 0.0)
+    back = look(receiver, place.point, 0.0)
+    found = Four()
+    n = place.normal
+    if wp.dot(n, there.s) < wp.float64(0.0):
+        n = -n
+    if wp.dot(n, back.s) <= wp.float64(0.0):
+        return found
+    q = k * (there.s + back.s)
+    upright = wp.dot(q, n)
+    across2 = wp.max(wp.dot(q, q) - upright * upright, wp.float64(0.0))
+    lx = rough.length[0]
+    ly = rough.length[1]
+    h = rough.rms_height
+    heights = roughness_spectrum(rough.spectrum, across2, azimuth_cos2(q, n), h, lx, ly)
+    lobe, _r, _q0, _variance = mirror_terms(rough.spectrum, upright / wp.length(q), rough.permittivity, h, lx, ly)
+    share = there.spread * back.spread * root(place.area / FOUR_PI)
+    bragg = -share * root((one - rough.specular_fraction) * PI * heights) * k * k * place.diffuse
+    mirror = share * root(rough.specular_fraction * lobe) * place.specular
+    flat = Face()
+    flat.permittivity = rough.permittivity
+    d = -there.s
+    s = back.s
+    u = receiver.u
+    v = receiver.v
+    h_sent = unit(radar.u)
+    v_sent = unit(radar.v)
+    found.hh = product(bragg, first_order(flat, k, h_sent, d, n, s, u))
+    found.hh += product(mirror, mirrored(flat, k, h_sent, d, s, u))
+    found.hv = product(bragg, first_order(flat, k, v_sent, d, n, s, u))
+    found.hv += product(mirror, mirrored(flat, k, v_sent, d, s, u))
+    found.vh = product(bragg, first_order(flat, k, h_sent, d, n, s, v))
+    found.vh += product(mirror, mirrored(flat, k, h_sent, d, s, v))
+    found.vv = product(bragg, first_order(flat, k, v_sent, d, n, s, v))
+    found.vv += product(mirror, mirrored(flat, k, v_sent, d, s, v))
     return found
 
 

@@ -294,6 +294,8 @@ def trace_kernel(
     # In:
     body: TubeMesh,
     radar_in: wp.array[TubeRadar],
+    receiver_in: wp.array[TubeRadar],
+    apart: int,
     cells: Cells,
     standoff: wp.float64,
     wavenumber: wp.float64,
@@ -303,6 +305,9 @@ def trace_kernel(
     ends_out: TubeEnds,
 ):
     """Each thread follows one ray: up to `most` hits, (most, rays). An empty cell has none.
+
+    Rays come from `radar_in`, and go back to `receiver_in`: the same, or with `apart` another place, which may not see
+    a first hit.
 
     `ends_out.span`: the way from its first to its last hit [m]. `ends_out.turn`: how wide a tube gets along either of
     its sides after a curved surface [rad]. That is the change of phase over half a footprint that the radar sees, or
@@ -317,6 +322,7 @@ def trace_kernel(
         ends_out.turn[ray] = wp.vec2d()
         return
     radar = radar_in[cells.view[ray]]
+    receiver = receiver_in[cells.view[ray]]
     tube = start_tube(radar, cells.place[ray], wp.vec2d(size[0], zero), wp.vec2d(zero, size[1]), standoff, body.reach)
     start = tube.point
     caustics = int(0)
@@ -342,11 +348,11 @@ def trace_kernel(
         hit = hit_of(tube, at)
         hit.caustics = caustics
         hit.face = f
-        s = look(radar, at.point, body.reach).s
+        s = look(receiver, at.point, body.reach).s
         if wp.dot(at.flat, s) > zero:
             hit.seen = 1
-            if b > 0:
-                hit.seen = free(body, radar, at.point, at.flat)
+            if b > 0 or apart != 0:
+                hit.seen = free(body, receiver, at.point, at.flat)
         bent = wp.max(bent, body.curved[f])
         if b > 0 and bent != 0:
             turn_u = wp.max(turn_u, half_k * wp.length(wp.cross(tube.d, at.pu)))

@@ -175,7 +175,7 @@ def test_a_closed_duct_returns_what_enters(duct: warpsar.Mesh) -> None:
     n, most = len(rays), 40
     hits = wp.empty((most, n), dtype=tubes.Hit, device="cpu")
     ends = allocate(TubeEnds, n, wp.get_device("cpu"))
-    inputs = [body.rays, radars, rays.cells, 1.0, K, most]
+    inputs = [body.rays, radars, radars, 0, rays.cells, 1.0, K, most]
     wp.launch(tubes.trace_kernel, n, inputs=inputs, outputs=[hits, ends], device="cpu")
     found, times = hits.numpy().T, ends.count.numpy()
     area = rays.cells.size.numpy().prod(axis=1)

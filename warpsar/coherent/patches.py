@@ -87,7 +87,8 @@ class RoughPatches:
         faces = faces[np.argsort(kind[face_material[faces]], kind="stable")]
         corners = _longest_across(shape.vertices[shape.faces[faces]])
         of, start, first, second = _cut(corners, min(SIDE * spacing_m, SIDE_M))
-        wanted = 0.5 * np.linalg.norm(np.cross(first, second), axis=1) / spacing_m**2
+        across = np.cross(first, second)
+        wanted = 0.5 * np.sqrt(np.einsum("ni,ni->n", across, across)) / spacing_m**2
         # The expected number is exact, so small faces get one now and then, with the area of a whole cell. Neighbours
         # in the mesh share what is left over: where one has got one, the next has not.
         upto = np.floor(np.cumsum(wanted) + np.random.default_rng(seed).random()).astype(np.int64)
@@ -191,6 +192,8 @@ class PatchesOnDevice:
     def _kinds(self) -> list[tuple[int, int, int]]:
         """Each kind, its first scatterer and the end of them."""
         kind = self.patches.kind[self.index]
+        if not kind.any():
+            return [(0, 0, len(self))] if len(kind) else []
         starts = [*np.flatnonzero(np.diff(kind, prepend=-1)).tolist(), len(kind)]
         return [(int(kind[a]), int(self.ends[a - 1]) if a else 0, int(self.ends[b - 1])) for a, b in pairwise(starts)]
 
@@ -213,21 +216,30 @@ class PatchesOnDevice:
 
 def _longest_across(corners: F64) -> F64:
     """Triangles (n, 3, 3) that begin with the corner across from their longest side."""
-    sides = ((corners[:, [1, 2, 0]] - corners) ** 2).sum(axis=2)
-    first = (sides.argmax(axis=1) + 2) % 3
-    turned: F64 = np.take_along_axis(corners, ((first[:, None] + np.arange(3)) % 3)[:, :, None], axis=1)
+    first = (_squares(corners[:, [1, 2, 0]] - corners).argmax(axis=1) + 2) % 3
+    order = (first[:, None] + np.arange(3)) % 3 + 3 * np.arange(len(corners))[:, None]
+    turned: F64 = corners.reshape(-1, 3).take(order, axis=0)
     return turned
+
+
+def _squares(sides: F64) -> F64:
+    """Of the lengths of vectors (n, 3, 3), (n, 3)."""
+    found: F64 = np.einsum("nij,nij->ni", sides, sides)
+    return found
 
 
 def _cut(corners: F64, longest_m: float) -> tuple[NDArray[np.int64], F64, F64, F64]:
     """Triangles (n, 3, 3) in congruent parts whose sides are at most `longest_m`: of which each is a part, a corner,
     and the two sides from it."""
-    sides = corners[:, [1, 2, 0]] - corners
-    parts = np.ceil(np.sqrt((sides**2).sum(axis=2).max(axis=1, initial=0.0)) / longest_m).astype(np.int64).clip(1)
+    start, first, second = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    largest = _squares(corners[:, [1, 2, 0]] - corners).max(axis=1, initial=0.0)
+    parts = np.ceil(np.sqrt(largest) / longest_m).astype(np.int64).clip(1)
     if (parts == 1).all():
-        return np.arange(len(corners)), corners[:, 0].copy(), sides[:, 0].copy(), corners[:, 2] - corners[:, 0]
-    of, start, first, second = [], [], [], []
-    for n in np.unique(parts).tolist():
+        return np.arange(len(corners)), start.copy(), first, second
+    of = np.repeat(np.arange(len(corners)), parts**2)
+    begin = np.cumsum(parts**2) - parts**2
+    made = np.stack([start.take(of, axis=0), first.take(of, axis=0), second.take(of, axis=0)])
+    for n in np.unique(parts[parts > 1]).tolist():
         some = np.flatnonzero(parts == n)
         i, j = np.divmod(np.arange(n * n), n)
         upright = i + j < n
@@ -235,12 +247,9 @@ def _cut(corners: F64, longest_m: float) -> tuple[NDArray[np.int64], F64, F64, F
         a = np.where(upright, i, n - i) / n
         b = np.where(upright, j, n - j) / n
         sign = np.where(upright, 1.0, -1.0) / n
-        e1, e2 = corners[some, 1] - corners[some, 0], corners[some, 2] - corners[some, 0]
-        of.append(np.repeat(some, n * n))
-        at = corners[some, 0][:, None] + a[:, None] * e1[:, None] + b[:, None] * e2[:, None]
-        start.append(at.reshape(-1, 3))
-        first.append((sign[:, None] * e1[:, None]).reshape(-1, 3))
-        second.append((sign[:, None] * e2[:, None]).reshape(-1, 3))
-    order = np.argsort(np.concatenate(of), kind="stable")
-    of_all, start_all, first_all, second_all = (np.concatenate(each)[order] for each in (of, start, first, second))
-    return of_all, start_all, first_all, second_all
+        e1, e2 = first[some], second[some]
+        there = begin[some][:, None] + np.arange(n * n)
+        made[0, there] = start[some][:, None] + a[:, None] * e1[:, None] + b[:, None] * e2[:, None]
+        made[1, there] = sign[:, None] * e1[:, None]
+        made[2, there] = sign[:, None] * e2[:, None]
+    return of, made[0], made[1], made[2]

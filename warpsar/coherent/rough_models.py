@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from warpsar.coherent.records import upload
 from warpsar.errors import InputError
 from warpsar.kernels import crossed_table, parts
-from warpsar.kernels.codes import Coordinate, Spectrum
+from warpsar.kernels.codes import Coordinate, Spectrum, Variant
 from warpsar.kernels.incidence_table import DOUBLE
 from warpsar.models import registry
 from warpsar.runtime import devices
@@ -43,6 +43,16 @@ def refuse_tables(world: World) -> None:
 def kind_of(material: Material) -> int:
     """0 for `ka_spm`; materials of another model, or with a learned term, have another number."""
     return 2 * registry.names().index(material.model) + (material.learned_term is not None)
+
+
+def backscatter_alone(materials: Iterable[Material], variant: int) -> list[str]:
+    """What rough faces of these materials send back toward the transmitter alone, in words."""
+    rough = [each for each in materials if each.rms_height_m != 0.0]
+    found = {f'the model "{each.model}"' for each in rough if kind_of(each) > 1}  # 0 and 1 are those of the first one
+    found |= {"a learned term" for each in rough if each.learned_term is not None}
+    if rough and variant == Variant.AS_PRINTED:
+        found.add('radar.variant "as_printed"')
+    return sorted(found)
 
 
 @dataclass(frozen=True)

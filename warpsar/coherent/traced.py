@@ -137,14 +137,15 @@ class Sums:
 
 
 class Traced:
-    """Rays with what they hit."""
+    """Rays with what they hit. They start at `radars`, and are seen from there, or from `receivers` (as many)."""
 
-    def __init__(self, tracer: Tracer, radars: wp.array, rays: CellRays) -> None:
+    def __init__(self, tracer: Tracer, radars: wp.array, rays: CellRays, receivers: wp.array | None = None) -> None:
         self.tracer, self.radars, self.rays = tracer, radars, rays
         body, device, n = tracer.body, tracer.body.device, len(rays)
         self.hits = wp.empty((tracer.bounces, n), dtype=tubes.Hit, device=device)
         self.ends = allocate(cells.TubeEnds, n, device)
-        inputs = [body.rays, radars, rays.cells, body.standoff, tracer.largest, tracer.bounces]
+        ends = [radars, radars, 0] if receivers is None else [radars, receivers, 1]
+        inputs = [body.rays, *ends, rays.cells, body.standoff, tracer.largest, tracer.bounces]
         wp.launch(tubes.trace_kernel, n, inputs=inputs, outputs=[self.hits, self.ends], device=device)
 
     def found(self) -> tuple[Any, NDArray[np.int32]]:

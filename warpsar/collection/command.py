@@ -20,7 +20,7 @@ from warpsar.collection.history import Collected, mixed
 from warpsar.collection.history import phase_history as recorded
 from warpsar.collection.noise import with_image_noise, with_noise
 from warpsar.collection.places import TubeTally
-from warpsar.collection.plan import Plan, plans_of
+from warpsar.collection.plan import HALFWAY_DEG, Plan, plans_of
 from warpsar.collection.samples import with_samples_changed
 from warpsar.collection.scatterers import Stream, band_error_db, rough_alone
 from warpsar.collection.slc import Slc, focused
@@ -235,7 +235,10 @@ def _slc(bodies: Bodies, plan: Plan, index: int, out: Path) -> dict[str, Any]:
     complex_image.write(out / files["npz"], made.range_m, made.azimuth_m, made.images)
     power = {pol: np.abs(image) ** 2 for pol, image in made.images.items()}
     draw_together([QuickLook.of(out / files["quick_look"], name, power, bodies.world.grid.spacing_m)])
-    for pol in made.images if sicd.EXTRA.missing is None else ():
+    far = plan.track.bistatic_deg() > HALFWAY_DEG
+    if far:
+        console.warn([f"{name}: no SICD is written: version 1.3 places pixels by one antenna, and there are two apart"])
+    for pol in made.images if sicd.EXTRA.missing is None and not far else ():
         files[f"sicd_{pol}"] = f"{name}.nitf" if len(made.images) == 1 else f"{name}_{pol}.nitf"
         sicd.write(out / files[f"sicd_{pol}"], made.formed(pol))
     return {**facts(plan), "plane": made.plane, "files": files, "scatterers": made.scatterers}

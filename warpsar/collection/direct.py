@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ from warpsar.collection.bodies import TILE_BYTES, Bodies
 from warpsar.collection.history import beam_of, spread_transform_at
 from warpsar.collection.plan import Plan
 from warpsar.collection.response import band_weights
-from warpsar.collection.scatterers import FAR_FIELD, Scatterers, Stream
+from warpsar.collection.scatterers import FAR_FIELD, Scatterers, Stream, rough_sight
 from warpsar.collection.slc import Slc
 from warpsar.errors import InputError
 from warpsar.kernels import collection as kernels
@@ -95,7 +96,7 @@ class _Axis:
         inside = (np.interp(own + reach, at, total) - np.interp(own - reach, at, total)) / (2.0 * reach)
         power = float((inside**2).sum() / inside.sum() ** 2) * count * step
         some = inside != 0.0
-        inside[some] /= spread_transform_at(own[some] * step) * inside.sum() * np.sqrt(power) / count
+        inside[some] /= _transform(count)[some] * inside.sum() * np.sqrt(power) / count
         response = fft.ifft(inside if phase is None else inside * np.exp(1j * np.interp(-own, at, phase)))
         order = np.arange(-half, half + 1)
         end = np.clip((np.abs(order) / half - 0.75) / 0.25, 0.0, 1.0)
@@ -119,6 +120,12 @@ class _Axis:
     def start_m(self, pixel: int) -> float:
         """Of the grid of a tile that begins at a pixel."""
         return self.first_m + (pixel * self.every - self.pad) * self.step_m
+
+
+@cache
+def _transform(count: int) -> F64:
+    """Of the deposit's weights, at the frequencies of a transform of so many samples."""
+    return spread_transform_at(fft.fftfreq(count))
 
 
 @dataclass(frozen=True)
@@ -183,8 +190,7 @@ def rough_of(bodies: Bodies, plan: Plan, progress: Any = None) -> Seen:
     world, body, patches = bodies.world, bodies.of(plan), bodies.patches(plan)
     k = 2.0 * np.pi * plan.centre_hz / SPEED_OF_LIGHT
     worker = places.worker_of(body, k, ("rough",), 1, 1.0)
-    sensor = plan.track.towards()[plan.middle] * plan.track.reference_m()[plan.middle]
-    radar = places.sight(body, sensor)[1]
+    radar = rough_sight(plan, body, plan.middle)
     columns = tuple(POLARIZATIONS.index(name[::-1]) for name in world.radar.polarizations)
 
     def seen(frame: Any, low: F64, high: F64) -> Iterator[DeviceScatterers]:

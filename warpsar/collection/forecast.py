@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -156,6 +157,8 @@ def forecast(bodies: Bodies, plans: Sequence[Plan], product: str) -> CollectionF
             seconds += again * (kind.seconds * len(knots) + deposit.each * several * float(np.sum(seen)))
         pulses = 1 if once else len(plan.track)
         batches = math.ceil(max(scatterers, 1.0) / len(plans) / bodies.together)
+        if history.holds_bins(plan, len(world.radar.polarizations), bodies.device):
+            batches = 1
         seconds += 0.0 if once else deposit.whole * pulses * batches
     held = max(held_gib(world, plan, product) for plan in plans)
     gib = held + min(bodies.together, scatterers / len(plans)) * _HELD_BYTES / 2**30
@@ -257,7 +260,8 @@ def _tubes(stream: Stream) -> _Look:
     """Of tubes, by bands of the coarse cells and by tubes of some of them."""
     if not len(stream.tube_knots) or not {"single", "multibounce"} & set(stream.terms):
         return _Look(0.0, 0.0, ())
-    cells = stream.cells(stream.plan.middle)
+    several = stream.cells(stream.plan.middle)
+    cells = several[0]
     rows, columns = (int(n) for n in cells.count)
     count = min(max(rows // 3, 1), max(BANDS, _CELLS // (3 * columns)))
     starts = np.unique(np.linspace(0, max(rows - 3, 0), count).astype(int))
@@ -273,6 +277,7 @@ def _tubes(stream: Stream) -> _Look:
     chosen = np.concatenate(found_cells)
     coarse *= rows * columns / float(sum(map(len, matter)))
     whole = rows / len(bands)
+    coarse, whole = coarse * len(several), whole * len(several)
     if not len(chosen):
         return _Look(coarse, 0.0, ())
     size = min(cells.together, max(1, len(chosen) // BANDS))
@@ -338,10 +343,29 @@ class _Deposit:
                 history.add_spectra(plan, track, some, spectrum, slice(start, start + pulses))
                 return spectrum
 
+            if device.is_cuda:  # where a transform takes longer than the deposit of the sample
+                each = _on_device(plan, track, parts, len(names), slice(start, start + pulses))
+                run([one])  # loads the kernels
+                return cls(each, timed(lambda: run([one]))[0] * scale)
+
         run([one])  # loads the kernels
         empty = timed(lambda: run([one]))[0]
         full = timed(lambda: run(parts))[0] if parts else empty
         return cls(max(full - empty, 0.0) / (max(scatterers, 1) * pulses), empty * scale)
+
+
+def _on_device(plan: Plan, track: Any, parts: Sequence[ScattererPart], polarizations: int, some: slice) -> float:
+    """Seconds of the deposit of a scatterer into one of some pulses, without transfers."""
+    device = track.time.device
+    there = [history.PartOnDevice.of(part, device) for part in parts]
+    bins = history.no_bins(plan, polarizations, some, device)
+
+    def run() -> None:
+        history.deposited(plan, track, there, some, bins)
+        wp.synchronize_device(device)
+
+    run()  # loads the kernels
+    return timed(run)[0] / (max(sum(map(len, parts)), 1) * (some.stop - some.start))
 
 
 def _focusing(bodies: Bodies, plan: Plan) -> float:

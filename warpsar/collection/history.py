@@ -26,6 +26,7 @@ from warpsar.formats.base.data import PhaseHistory
 from warpsar.kernels import collection as kernels
 from warpsar.kernels import pulse_deposit
 from warpsar.runtime import devices, threads
+from warpsar.runtime.memory import default_gib
 from warpsar.runtime.structs import fill
 from warpsar.version import __version__
 from warpsar.world.collection import AntennaChannels
@@ -128,8 +129,11 @@ def phase_history(
     shape = (len(polarizations), len(plan.track), plan.frequencies)
     spectrum = np.zeros(shape, np.complex64)
     track = track_of(plan, device)
-    for parts in _batches(scatterers.parts, getattr(scatterers, "together", TOGETHER)):
-        add_spectra(plan, track, parts, spectrum)
+    if holds_bins(plan, len(polarizations), device):
+        _add_all(plan, track, scatterers.parts, spectrum)
+    else:
+        for parts in _batches(scatterers.parts, getattr(scatterers, "together", TOGETHER)):
+            add_spectra(plan, track, parts, spectrum)
     turn = plan.recorded_turn()
     if turn is not None:
         spectrum *= turn
@@ -239,6 +243,26 @@ def add_spectra(
         spectrum[:, some] += values
 
 
+def holds_bins(plan: Plan, polarizations: int, device: wp.Device) -> bool:
+    """Whether the range bins of all pulses stay on the device until all scatterers are in them."""
+    return device.is_cuda and 8 * polarizations * len(plan.track) * bins_of(plan) <= default_gib(device) * 2**30
+
+
+def _add_all(plan: Plan, track: Any, parts: Iterable[ScattererPart], spectrum: NDArray[np.complex64]) -> None:
+    """`add_spectra` of all pulses, with their bins held on CUDA: however many parts there are, each pulse has one
+    transform."""
+    device = track.time.device
+    step, pulses = PULSES_TOGETHER["cuda"], len(plan.track)
+    blocks = [slice(a, min(a + step, pulses)) for a in range(0, pulses, step)]
+    bins = [no_bins(plan, len(spectrum), some, device) for some in blocks]
+    for part in parts:
+        there = [PartOnDevice.of(part, device)]
+        for some, out in zip(blocks, bins, strict=True):
+            deposited(plan, track, there, some, out)
+    for some in blocks:
+        spectrum[:, some] += _spectra(plan, bins.pop(0))
+
+
 def _batches(parts: Iterable[ScattererPart], together: int) -> Iterator[list[ScattererPart]]:
     """Parts that are deposited together: each batch takes the transforms of all pulses."""
     waiting: list[ScattererPart] = []
@@ -293,27 +317,27 @@ class PartOnDevice:
         return cls(part.weight, fill(kernels.MovingScatterers, **places, amplitude=upload(values, wp.vec2, device)))
 
 
-def deposited(plan: Plan, track: Any, parts: list[PartOnDevice], polarizations: int, some: slice) -> wp.array:
-    """Range bins of some pulses on the device; `track` is that of `track_of`.
-
-    On CUDA complex numbers (polarizations, pulses, bins); on the CPU what `kernels/pulse_deposit.py` makes.
-    """
-    device = track.time.device
-    bins, pulses = bins_of(plan), np.arange(some.start, some.stop)
-    rows = upload(pulses.astype(np.int32), int, device)
+def no_bins(plan: Plan, polarizations: int, some: slice, device: wp.Device) -> wp.array:
+    """Empty range bins of some pulses: on CUDA complex numbers (polarizations, pulses, bins); on the CPU what
+    `kernels/pulse_deposit.py` fills."""
+    bins, pulses = bins_of(plan), some.stop - some.start
     if device.is_cpu:
-        shape = (2, polarizations, len(pulses), bins + pulse_deposit.SPARE)
-        out = wp.zeros(shape, dtype=float, device=device)
-        table = upload(_weights_table(), float, device)
-    else:
-        out = wp.zeros((polarizations, len(pulses), bins), dtype=wp.vec2, device=device)
+        return wp.zeros((2, polarizations, pulses, bins + pulse_deposit.SPARE), dtype=float, device=device)
+    return wp.zeros((polarizations, pulses, bins), dtype=wp.vec2, device=device)
+
+
+def deposited(plan: Plan, track: Any, parts: list[PartOnDevice], some: slice, out: wp.array) -> wp.array:
+    """`out`, the range bins of some pulses, with some parts added; `track` is that of `track_of`."""
+    device = track.time.device
+    pulses = np.arange(some.start, some.stop)
+    rows = upload(pulses.astype(np.int32), int, device)
     for part in parts:
         weight = part.weight[some]
         if not weight.any():
             continue
         inputs = [rows, upload(weight, float, device), track, *scales(plan)]
         if device.is_cpu:
-            inputs += [bins, part.scatterers, table]
+            inputs += [bins_of(plan), part.scatterers, upload(_weights_table(), float, device)]
             wp.launch(pulse_deposit.pulse_deposit_kernel, 1, inputs=inputs, outputs=[out], device=device)
         else:
             inputs += [part.scatterers, LANES]
@@ -339,8 +363,13 @@ def _weights_table() -> NDArray[np.float32]:
 
 def _block(plan: Plan, track: Any, parts: list[PartOnDevice], polarizations: int, some: slice) -> Any:
     """Spectra of some pulses, (polarizations, pulses, frequencies)."""
-    found = np.ascontiguousarray(deposited(plan, track, parts, polarizations, some).numpy())
-    on_cpu = track.time.device.is_cpu  # where blocks have a thread each
+    return _spectra(plan, deposited(plan, track, parts, some, no_bins(plan, polarizations, some, track.time.device)))
+
+
+def _spectra(plan: Plan, bins: wp.array) -> NDArray[np.complex64]:
+    """Of range bins on a device, (polarizations, pulses, frequencies)."""
+    found = np.ascontiguousarray(bins.numpy())
+    on_cpu = bins.device.is_cpu  # where blocks have a thread each
     profiles = _gone_round(found, bins_of(plan)) if on_cpu else found.view(np.complex64)[..., 0]
     spectra = fft.fft(profiles, axis=-1, workers=1 if on_cpu else threads.thread_count(), overwrite_x=True)
     return undeposited(spectra, plan.frequencies).astype(np.complex64)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -22,6 +22,7 @@ from warpsar.kernels import collection as kernels
 from warpsar.kernels.coherent import tubes
 from warpsar.kernels.coherent.rough_models import rough_places_kernel
 from warpsar.runtime import threads
+from warpsar.runtime.structs import fill
 from warpsar.surface.bistatic import log_factorials
 
 F64 = NDArray[np.float64]
@@ -45,17 +46,22 @@ class Places:
     face: NDArray[np.int64]
 
 
-def sight(body: CoherentBody, place_m: F64) -> tuple[Directions, wp.array]:
-    """The direction to a sensor at a place (3,) [m] about the reference point, and the kernels' radar."""
-    distance = float(np.linalg.norm(place_m))
-    s = place_m / distance
-    level = float(np.hypot(s[0], s[1]))
-    u = np.array([s[1], -s[0], 0.0]) / level if level > 1e-12 else np.array([1.0, 0.0, 0.0])
-    one = Directions(s[None], u[None], np.cross(-u, s)[None])
-    made = records(tubes.TubeRadar, 1)
-    made["s"], made["u"], made["v"] = s, u, one.v[0]
-    made["near"], made["distance"], made["place"] = 1, distance, place_m - body.origin
-    return one, upload(made, tubes.TubeRadar, body.device)
+def sight(body: CoherentBody, *places_m: F64) -> tuple[Directions, wp.array]:
+    """The direction to a sensor at a place (3,) [m] about the reference point, and the kernels' radar.
+
+    Of two places, those of transmitter and receiver: both directions, and two radars. Each has its own H and V.
+    """
+    place = np.array(places_m)
+    distance = np.linalg.norm(place, axis=1)
+    s = place / distance[:, None]
+    level = np.hypot(s[:, 0], s[:, 1])[:, None]
+    across = np.stack([s[:, 1], -s[:, 0], np.zeros(len(s))], axis=1)
+    u = np.where(level > 1e-12, across / np.maximum(level, 1e-12), [1.0, 0.0, 0.0])
+    ends = Directions(s, u, np.cross(-u, s))
+    made = records(tubes.TubeRadar, len(s))
+    made["s"], made["u"], made["v"] = s, u, ends.v
+    made["near"], made["distance"], made["place"] = 1, distance, place - body.origin
+    return ends, upload(made, tubes.TubeRadar, body.device)
 
 
 def worker_of(body: CoherentBody, k: float, terms: tuple[str, ...], max_bounces: int, rays: float) -> Worker:
@@ -73,12 +79,20 @@ class SeenPlaces:
 
 
 def rough_amplitudes(worker: Worker, radar: wp.array, placed: PlacedScatterers) -> wp.array:
-    """What some rough places send back, (n, 4) on the device, 0 where they are not seen."""
+    """What some rough places send back, (n, 4) on the device, 0 where they are not seen: of two radars by both.
+
+    Two radars are for places of `ka_spm` alone.
+    """
     body, device = worker.body, worker.body.device
     out = wp.zeros((len(placed), 4), dtype=wp.vec2, device=device)
     seen = worker.free(radar, placed.points, placed.normals, both_sides=True)
     for group in placed.groups:
         part = group.part
+        if radar.shape[0] > 1:
+            inputs = [radar, float(worker.k[0]), body.surfaces, placed.scatterers[part], seen[:, part]]
+            kernel = kernels.rough_places_apart_kernel
+            wp.launch(kernel, part.stop - part.start, inputs=inputs, outputs=[out[part]], device=device)
+            continue
         kernel, more = group.launched(kernels.rough_places_kernel, rough_places_kernel, worker.tables)
         inputs = [radar, float(worker.k[0]), body.surfaces, body.variant, placed.scatterers[part], seen[:, part], *more]
         wp.launch(kernel, part.stop - part.start, inputs=inputs, outputs=[out[part]], device=device)
@@ -144,13 +158,21 @@ class TubeTally:
 
 
 class CoarseCells:
-    """The coarse cells of one direction, by which it is found out where tubes are worth their time.
+    """The coarse cells of a place of the sensor, by which it is found out where tubes are worth their time.
 
-    `apart` (3,) is half of the unit vector to the transmitter less that to the receiver: zero for one antenna.
+    `places_m`: where tubes start, and where their hits are seen from, if elsewhere, (3,) each [m] about the reference
+    point; `rates`: how fast both directions turn, (3,) each. Tubes start at the transmitter, or with `returned` at the
+    receiver: then they are those whose first hit scatters diffusely, gone through the other way round.
     """
 
-    def __init__(self, worker: Worker, direction: Directions, radar: wp.array, distance_m: float, apart: F64) -> None:
-        self.worker, self.radar, self.apart = worker, radar, apart
+    def __init__(
+        self, worker: Worker, places_m: Sequence[F64], rates: Sequence[F64], *, returned: bool = False
+    ) -> None:
+        self.worker, self.returned = worker, returned
+        direction, self.radars = sight(worker.body, *places_m)
+        distance_m = float(np.linalg.norm(places_m[0]))
+        self.radar = self.radars[:1]
+        self.rates = fill(kernels.Rates, transmitter=wp.vec3d(*rates[0]), receiver=wp.vec3d(*rates[-1]))
         self.low, self.step, self.count = cells.frame(worker.body, direction, 0, COARSE * worker.spacing, distance_m)
         self._smooth = np.array([not material.rms_height_m for material in worker.body.materials])
         self._material = worker.body.face_material.numpy()
@@ -194,17 +216,23 @@ class CoarseCells:
         inside = np.stack(np.meshgrid(part, part, indexing="ij"), axis=-1).reshape(-1, 2)
         middle = (self.low + (chosen[:, None] + inside[None]) * self.step).reshape(-1, 2)
         rays = cells.CellRays.of(middle, np.broadcast_to(self.step / COARSE, middle.shape), body.device)
-        traced = Traced(worker.tracer, self.radar, rays)
+        apart = self.radars.shape[0] > 1
+        receiver = self.radars[1:] if apart else self.radar
+        traced = Traced(worker.tracer, self.radar, rays, receiver if apart else None)
         wide = (traced.ends.turn.numpy() > TURN).any(axis=1)
         n, most = len(rays), worker.tracer.bounces
         place = wp.zeros((n, most), dtype=wp.vec3d, device=body.device)
         amplitude = wp.zeros((n, most, 4), dtype=wp.vec2, device=body.device)
         face = wp.zeros((n, most), dtype=int, device=body.device)
-        inputs = [self.radar, float(worker.k[0]), worker.stuff, body.face_material]
-        inputs += [traced.hits, traced.ends.count, int("single" in worker.terms), wp.vec3d(*self.apart)]
-        inputs += [body.surfaces, log_factorials(str(body.device)), int("rough" in worker.terms), body.seed % 2**31]
+        inputs = [self.radar, receiver, self.rates, float(worker.k[0]), worker.stuff, body.face_material]
+        inputs += [traced.hits, traced.ends.count]
+        inputs += [int(not self.returned and "single" in worker.terms), int(not self.returned)]
+        diffuse = (2 if apart else 1) if "rough" in worker.terms else 0
+        inputs += [body.surfaces, log_factorials(str(body.device)), diffuse, body.seed % 2**31]
         wp.launch(kernels.tube_places_kernel, n, inputs=inputs, outputs=[place, amplitude, face], device=body.device)
         values = complex_of(amplitude).reshape(-1, 4)
+        if self.returned:
+            values = values[:, [0, 2, 1, 3]]  # the received one comes first
         power = (np.abs(values) ** 2).sum(axis=1)
         of_tube = power.reshape(n, most).sum(axis=1, dtype=float)
         starts = np.arange(0, len(power), GROUP * COARSE**2 * most)

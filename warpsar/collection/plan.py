@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from warpsar.coherent.left_out import refuse_left_out
+from warpsar.coherent.rough_models import backscatter_alone
 from warpsar.collection import antenna_file, track_file
 from warpsar.collection.antenna_file import AntennaPatternTable
 from warpsar.collection.presets import BANDS_HZ
@@ -24,6 +25,7 @@ from warpsar.effects.registry import declared
 from warpsar.errors import InputError
 from warpsar.formats.base.acquisition import Acquisition
 from warpsar.kernels.backproject import first_surface_kernel
+from warpsar.kernels.codes import Variant
 from warpsar.measured.ground import pixel_centres
 from warpsar.measured.placed import frame_of
 from warpsar.world.collection import Collection, CollectionErrors
@@ -44,9 +46,12 @@ SPARE = 0.7
 MOST = 0.8
 """Share that it may take at most: CPHD asks for samples of frequency a little denser than needed."""
 FEWEST = 32
-WIDEST_DEG = 12.0
-"""Between transmitter and receiver. Amplitudes are those of one antenna halfway between them: physical optics of a face
-tilted by 45 degrees to it is then wrong by tan(45) tan(6 degrees), 1 dB, and that of a face across it by 0.02 dB."""
+HALFWAY_DEG = 12.0
+"""Between transmitter and receiver. Up to it what has backscatter alone is that of one antenna halfway between them.
+Physical optics of a face tilted by 45 degrees to it would be wrong by tan(45) tan(6 degrees), 1 dB."""
+FORWARD_DEG = 150.0
+"""Within 30 degrees of the forward direction the shadow of a body of two wavelengths and more sends: its lobe's first
+null lies at lambda / D. Faces that both antennas see do not have it."""
 ROUNDED = 1e-3
 """Share by which a stated width may be below what band or aperture hold: files round it."""
 FINER = 0.05
@@ -166,10 +171,15 @@ class Plan:
 
     @cached_property
     def cells_m(self) -> tuple[float, float]:
-        """Cells of the whole band in slant range, c / 2B, and of the whole track in azimuth, lambda / 2 aperture."""
-        turn = self.cosine
+        """Cells of the whole band in slant range, c / 2B, and of the whole track in azimuth, lambda / 2 aperture.
+
+        Of two antennas both are those along and across the direction halfway between them.
+        """
+        mean = self.track.mean_towards()
+        turn = mean @ np.linalg.svd(mean - mean.mean(axis=0), full_matrices=False)[2][0]
         width = float(np.ptp(turn)) * len(turn) / (len(turn) - 1)
-        return SPEED_OF_LIGHT / (2.0 * self.bandwidth_hz), SPEED_OF_LIGHT / self.centre_hz / (2.0 * width)
+        band = self.bandwidth_hz * float(np.linalg.norm(mean[self.middle]))
+        return SPEED_OF_LIGHT / (2.0 * band), SPEED_OF_LIGHT / self.centre_hz / (2.0 * width)
 
     @cached_property
     def cosine(self) -> F64:
@@ -255,8 +265,7 @@ class Plan:
 
     def knots(self, step_deg: float) -> NDArray[np.int64]:
         """Pulses from which scatterers are seen, about `step_deg` apart: the middle one of a narrow aperture."""
-        towards = self.track.towards()
-        steps = np.linalg.norm(np.diff(towards, axis=0), axis=1)
+        steps = np.max([np.linalg.norm(np.diff(end, axis=0), axis=1) for end in self.track.ends()], axis=0)
         way = np.concatenate([[0.0], np.cumsum(steps)])
         count = round(np.rad2deg(way[-1]) / step_deg)
         if count < 1:
@@ -329,14 +338,6 @@ def plan_of(world: World, view: View, device: wp.Device) -> Plan:
             f"{low:g} to {high:g}"
         )
     low, high = _band(table, response, carrier, world.name)
-    if (width := response.width_m[0]) is not None:
-        held = width_in_cells(str(response.taper[0])) * SPEED_OF_LIGHT / (2.0 * (high - low))
-        if held > width * (1.0 + ROUNDED):
-            raise InputError(
-                f"{world.name}: {_key(world, 0)}: found {width:g} m in range, but a band of "
-                f"{high - low:.4g} Hz with the window {response.taper[0]!r} holds {held:.3g} m; must be at least that, "
-                "or a wider band"
-            )
     site = Site(np.asarray(world.reference_point_m, np.float64), frame_of(world))
     vertices = site.about(world.mesh.vertices)
     geometry = geometry_of(world, view)
@@ -346,12 +347,17 @@ def plan_of(world: World, view: View, device: wp.Device) -> Plan:
     made = Plan(view, table, geometry, site, _dot(), low, high - low, 2, corners, response, effects)
     made = _pointed(world, made)
     made = replace(made, track=_track(world, made, 0.5 * (low + high)))
+    if made.track.bistatic:
+        low, high = _band(table, response, carrier, world.name, _shortened(made))
+        made = replace(made, start_hz=low, step_hz=high - low)
+        made = replace(made, track=_track(world, made, 0.5 * (low + high), _azimuth_m(made)))
     made = _misrecorded(made)
     _refuse_channels(world, table)
     _refuse_wide(world, made)
     _refuse_narrow(world, made)
     _refuse_ground(world, made, device)
     made = _sampled_band(world, made, low, high)
+    _refuse_coarse(world, made)
     _refuse_finer(world, made)
     _refuse_gaps(world, made)
     return made
@@ -368,8 +374,32 @@ def _key(world: World, axis: int) -> str:
     return "collection.resolution_m"
 
 
-def _band(table: Collection, response: Response, carrier: float, name: str) -> tuple[float, float]:
-    """The first and the last frequency."""
+def _shortened(plan: Plan) -> float:
+    """Cosine of half the angle between both antennas in the middle of the track: the share of the band that counts."""
+    return float(np.linalg.norm(plan.track.mean_towards()[plan.middle]))
+
+
+def _azimuth_m(plan: Plan) -> float:
+    """Width in azimuth that the track holds [m]."""
+    return width_in_cells(plan.windows[1]) * plan.cells_m[1]
+
+
+def _refuse_coarse(world: World, plan: Plan) -> None:
+    """Raise InputError for a band that does not hold the resolution asked for."""
+    width = plan.response.width_m[0]
+    held = width_in_cells(plan.windows[0]) * SPEED_OF_LIGHT / (2.0 * plan.bandwidth_hz * _shortened(plan))
+    if width is not None and held > width * (1.0 + ROUNDED):
+        raise InputError(
+            f"{world.name}: {_key(world, 0)}: found {width:g} m in range, but a band of "
+            f"{plan.bandwidth_hz:.4g} Hz with the window {plan.windows[0]!r} holds {held:.3g} m; must be at least "
+            "that, or a wider band"
+        )
+
+
+def _band(
+    table: Collection, response: Response, carrier: float, name: str, shortened: float = 1.0
+) -> tuple[float, float]:
+    """The first and the last frequency. `shortened`: the share of a band that counts where it follows from a width."""
     if table.start_hz is not None and table.stop_hz is not None:
         if not table.start_hz <= carrier <= table.stop_hz:
             raise InputError(
@@ -379,7 +409,7 @@ def _band(table: Collection, response: Response, carrier: float, name: str) -> t
         return table.start_hz, table.stop_hz
     width = table.bandwidth_hz
     if width is None and response.width_m[0] is not None:
-        width = width_in_cells(str(response.taper[0])) * SPEED_OF_LIGHT / (2.0 * response.width_m[0])
+        width = width_in_cells(str(response.taper[0])) * SPEED_OF_LIGHT / (2.0 * response.width_m[0] * shortened)
     if width is None:
         raise InputError(
             f"{name}: collection.bandwidth_hz: missing; must be stated, or effects.point_spread.range_fwhm_m, or a "
@@ -390,15 +420,15 @@ def _band(table: Collection, response: Response, carrier: float, name: str) -> t
     return carrier - 0.5 * width, carrier + 0.5 * width
 
 
-def _track(world: World, plan: Plan, frequency: float) -> Track:
-    """The track of the plan's table."""
+def _track(world: World, plan: Plan, frequency: float, held_m: float | None = None) -> Track:
+    """The track of the plan's table; `held_m`: the azimuth width that a first one held with a transmitter apart."""
     table, name = plan.table, world.name
     if table.trajectory is not None:
         return track_file.read(table.trajectory, plan.site.reference_m, plan.site.frame)
     slant = table.slant_range_m or world.slant_range_m(plan.view)
     if slant is None:
         raise InputError(f"{name}: collection.slant_range_m: missing; must be stated here, in the view or in [radar]")
-    aperture = _aperture(world, plan, frequency)
+    aperture = _aperture(world, plan, frequency, held_m)
     speed = table.speed_m_s or SPEED_M_S
 
     def flown(count: int) -> Track:
@@ -493,8 +523,9 @@ def _sent(track: Track, table: Collection) -> Track:
     return replace(track, transmitter_m=place, straight=None)
 
 
-def _aperture(world: World, plan: Plan, frequency: float) -> float:
-    """Angle of the aperture [deg]; refuses one that does not hold the resolution asked for."""
+def _aperture(world: World, plan: Plan, frequency: float, held_m: float | None = None) -> float:
+    """Angle of the aperture [deg]; refuses one that does not hold the resolution asked for. `held_m` as in `_track`:
+    where one of two antennas stands still, the direction between them turns half as far."""
     table = plan.table
     given = table.aperture_deg
     if given is None and table.mode in ("circular", "inverse"):
@@ -508,6 +539,8 @@ def _aperture(world: World, plan: Plan, frequency: float) -> float:
             )
         return given
     needed = width_in_cells(plan.windows[1]) * SPEED_OF_LIGHT / frequency / (2.0 * asked_m)
+    if held_m is not None:
+        needed *= held_m / asked_m
     needed = np.rad2deg(2.0 * math.asin(min(1.0, 0.5 * needed)))
     if given is not None and given < needed * (1.0 - ROUNDED):
         raise InputError(
@@ -518,32 +551,44 @@ def _aperture(world: World, plan: Plan, frequency: float) -> float:
 
 
 def _refuse_wide(world: World, plan: Plan) -> None:
-    """Raise InputError for antennas so far apart that the amplitudes of one between them are no longer theirs."""
-    if (angle := plan.track.bistatic_deg()) > WIDEST_DEG:
+    """Raise InputError for antennas farther apart than what is declared holds for."""
+    angle = plan.track.bistatic_deg()
+    if angle <= HALFWAY_DEG:
+        return
+    materials = (world.materials[name] for name in world.mesh.materials)
+    why = [f"{what}, of backscatter" for what in ['radar.terms "edges"'] if "edges" in world.radar.terms]
+    if "rough" in world.radar.terms:
+        variant = int(Variant[world.radar.variant.upper()])
+        why += [f"{what}, of backscatter" for what in backscatter_alone(materials, variant)]
+    most = HALFWAY_DEG if why else FORWARD_DEG
+    if angle > most:
+        if not why:
+            why = ["forward scatter, which has the field of shadows"]
         key = "trajectory" if plan.table.trajectory is not None else "transmitter"
         raise InputError(
             f"{world.name}: collection.{key}: found the transmitter {angle:.3g} degrees from the receiver, as the "
-            f"reference point sees them in view {plan.view.name}; must be at most {WIDEST_DEG:g}: amplitudes are those "
-            "of one antenna halfway between them, wrong by more than 1 dB beyond"
+            f"reference point sees them in view {plan.view.name}; must be at most {most:g} with {'; '.join(why)}"
         )
 
 
 def _refuse_narrow(world: World, plan: Plan) -> None:
-    """Raise InputError for a track from a file whose aperture is none, or does not hold the resolution asked for."""
+    """Raise InputError for a track from a file whose aperture is none, or does not hold the resolution asked for; or
+    with a transmitter apart, which the stated aperture does not know."""
     table = plan.table
-    if table.trajectory is None:
+    if table.trajectory is None and table.transmitter is None:
         return
-    if np.ptp(plan.cosine) < 1e-12:
+    if table.trajectory is not None and np.ptp(plan.cosine) < 1e-12:
         raise InputError(
             f"{world.name}: collection.trajectory: found {table.trajectory}, whose sensor the reference point sees in "
             "one direction all the time; must move across it"
         )
     if (asked_m := plan.response.width_m[1]) is not None:
-        held = width_in_cells(plan.windows[1]) * plan.cells_m[1]
-        if held > asked_m * (1.0 + ROUNDED):
+        held = _azimuth_m(plan)
+        if held > asked_m * (1.0 + (ROUNDED if table.transmitter is None else FINER)):
+            which = f"of {table.trajectory}" if table.trajectory is not None else "beside the transmitter"
             raise InputError(
-                f"{world.name}: {_key(world, 1)}: found {asked_m:g} m in azimuth, but the track "
-                f"of {table.trajectory} with the window {plan.windows[1]!r} holds {held:.3g} m; must be at least that"
+                f"{world.name}: {_key(world, 1)}: found {asked_m:g} m in azimuth, but the track {which} with the "
+                f"window {plan.windows[1]!r} holds {held:.3g} m; must be at least that"
             )
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from warpsar.coherent.body import CoherentBody
 from warpsar.coherent.patches import PatchesOnDevice
+from warpsar.coherent.rough_models import backscatter_alone
 from warpsar.coherent.sweep import POLARIZATIONS, RAYS_PER_WAVELENGTH
 from warpsar.collection import places
 from warpsar.collection.moved import moved
@@ -121,7 +122,8 @@ class Stream:
         tracer.together = max(most - most % group, group)
         # The engine names the received one first, [radar] the transmitted one.
         self._columns = [POLARIZATIONS.index(name[::-1]) for name in world.radar.polarizations]
-        self._sensor = plan.track.towards() * plan.track.reference_m()[:, None]
+        self._apart = plan.track.bistatic
+        self._rates = [np.gradient(end, axis=0) for end in plan.track.ends()]
         self._velocity = _velocities(world, plan)
         middle = np.array([plan.middle])
         rough = rough and "rough" in terms and len(body.patches) > 0
@@ -155,15 +157,26 @@ class Stream:
                 self.count += len(part)
                 yield part
 
-    def cells(self, knot: int) -> places.CoarseCells:
-        """The coarse cells of the body as the pulse `knot` sees it."""
-        direction, radar = places.sight(self.body, self._sensor[knot])
-        distance_m = float(np.linalg.norm(self._sensor[knot]))
-        return places.CoarseCells(self.worker, direction, radar, distance_m, self.plan.track.apart()[knot])
+    def cells(self, knot: int) -> list[places.CoarseCells]:
+        """The coarse cells of the body as the pulse `knot` sees it.
+
+        Of two antennas they are those of the transmitter, and where rough faces scatter what others mirror to them,
+        those of the receiver, too: a wave goes from a rough face to a mirror as it comes back.
+        """
+        if not self._apart:
+            still = np.zeros(3)
+            return [places.CoarseCells(self.worker, between(self.plan, knot), [still, still])]
+        track = self.plan.track
+        ends = [track.transmitter_m[knot], track.receiver_m[knot]]
+        rates = [rate[knot] for rate in self._rates]
+        found = [places.CoarseCells(self.worker, ends, rates)]
+        if {"rough", "multibounce"} <= set(self.terms) and any(m.rms_height_m for m in self.body.materials):
+            found.append(places.CoarseCells(self.worker, ends[::-1], rates[::-1], returned=True))
+        return found
 
     def rough(self, knot: int, some: slice) -> Iterator[places.Places]:
         """Rough places as the pulse `knot` sees them, without those that it does not see, in parts."""
-        radar = places.sight(self.body, self._sensor[knot])[1]
+        radar = rough_sight(self.plan, self.body, knot)
         start = some.start
         for found in places.rough_seen(self.worker, radar, self._patches, some, self.together):
             amplitude = places.complex_of(found.amplitude)
@@ -204,24 +217,39 @@ class Stream:
             if {"single", "multibounce"} & set(terms):
                 yield from self._tubes(knot, weight)
             if "edges" in terms and self.worker.edges.shape[0]:
-                edges = places.edge_places(self.worker, places.sight(self.body, self._sensor[knot])[1])
+                edges = places.edge_places(self.worker, places.sight(self.body, *between(self.plan, knot))[1])
                 if len(edges.face):
                     yield self.part(edges, weight, knot)
 
     def _tubes(self, knot: int, weight: NDArray[np.float32]) -> Iterator[ScattererPart]:
         waiting: list[places.Places] = []
-        before = 0.0
-        for found, tally, share in places.tube_places(self.cells(knot)):
-            self.tally += tally
-            waiting.append(found)
-            if sum(len(each.face) for each in waiting) >= self.together:
-                yield self.part(places.joined(waiting), weight, knot)
-                waiting = []
-            self._done(share - before)
-            before = share
-        self._done(1.0 - before)
+        several = self.cells(knot)
+        for cells in several:
+            before = 0.0
+            for found, tally, share in places.tube_places(cells):
+                self.tally += tally
+                waiting.append(found)
+                if sum(len(each.face) for each in waiting) >= self.together:
+                    yield self.part(places.joined(waiting), weight, knot)
+                    waiting = []
+                self._done((share - before) / len(several))
+                before = share
+            self._done((1.0 - before) / len(several))
         if sum(len(each.face) for each in waiting):
             yield self.part(places.joined(waiting), weight, knot)
+
+
+def between(plan: Plan, pulse: int) -> list[F64]:
+    """The place of the sensor, or of one halfway between two antennas, (3,) [m] about the reference point."""
+    return [plan.track.towards()[pulse] * plan.track.reference_m()[pulse]]
+
+
+def rough_sight(plan: Plan, body: CoherentBody, pulse: int) -> wp.array:
+    """The radars of `places.rough_seen` at a pulse: one halfway between two antennas where a model has no other."""
+    track = plan.track
+    if not track.bistatic or backscatter_alone(body.materials, body.variant):
+        return places.sight(body, *between(plan, pulse))[1]
+    return places.sight(body, track.transmitter_m[pulse], track.receiver_m[pulse])[1]
 
 
 def scatterers_of(
@@ -249,8 +277,7 @@ def band_error_db(world: World, plan: Plan, body: CoherentBody) -> float:
     if {"single", "multibounce"} & set(world.radar.terms) and not all(m.rms_height_m for m in body.materials):
         found += (20.0 * np.log10(ends / plan.centre_hz)).tolist()
     if "rough" in world.radar.terms and len(body.patches):
-        sensor = plan.track.towards()[plan.middle] * plan.track.reference_m()[plan.middle]
-        radar = places.sight(body, sensor)[1]
+        radar = rough_sight(plan, body, plan.middle)
         total = len(body.patches)
         # A sample: some patches of a large surface tell the change as well as all of them.
         some = slice(None, None, -(-total // BAND_SAMPLE))

@@ -470,10 +470,11 @@ def _corners(made: FormedImage) -> F64:
 
 def _grid(made: FormedImage, centre_s: float) -> dict[str, Any]:
     taken, (along, across), (of_band, of_pulses) = made.taken, made.axes, made.weights
-    steep = float(-along @ made.look)
+    toward = taken.track.centre().mean_towards()[0] if taken.track.bistatic else made.look
+    steep = float(-along @ toward)
     carrier = 2.0 * (taken.start_hz + 0.5 * (taken.frequencies - 1) * taken.step_hz) / SPEED_OF_LIGHT
     band: F64 = 2.0 * taken.step_hz / SPEED_OF_LIGHT * steep * np.arange(taken.frequencies, dtype=np.float64)
-    aperture: F64 = carrier * (taken.track.towards() @ across)
+    aperture: F64 = carrier * (taken.track.mean_towards() @ across)
     used = of_pulses > FAINT * of_pulses.max()  # of a beam: its main lobe
     rows = _axis(band, of_band, made.range_m)
     columns = _axis(aperture[used], of_pulses[used], made.azimuth_m)

@@ -33,11 +33,20 @@ _PIXELS_PER_TASK = 1 << 14
 def cell_m(history: PhaseHistory, reference_point_m: np.ndarray) -> tuple[float, float]:
     """Resolution cell (range, azimuth) [m] of the full band and aperture: c / 2B and lambda / 2 (aperture angle).
 
+    Of two antennas apart both are larger, by the cosine of half the angle between them.
     The half-power width of an unweighted point target is 0.886 of it.
     """
     wavelength = SPEED_OF_LIGHT / history.centre_frequency_hz
     aperture = np.ptp(cross_range_cosine(history, reference_point_m)) * _spread(history.position_m.shape[0])
-    return SPEED_OF_LIGHT / (2.0 * history.bandwidth_hz), wavelength / (2.0 * max(aperture, 1e-12))
+    cells = SPEED_OF_LIGHT / (2.0 * history.bandwidth_hz), wavelength / (2.0 * max(aperture, 1e-12))
+    if history.transmitter_m is None:
+        return cells
+    middle = history.position_m.shape[0] // 2
+    ends = [
+        place[middle] - history.in_frame(reference_point_m) for place in (history.position_m, history.transmitter_m)
+    ]
+    shortened = 0.5 * float(np.linalg.norm(sum(end / np.linalg.norm(end) for end in ends)))
+    return cells[0] / shortened, cells[1] / shortened
 
 
 def focus(

@@ -50,9 +50,9 @@ EXPANDED_TURNS = 2e-5
 FLAT_M = 1e-6
 """How far a plane grid may be from one in the frame of a history [m]."""
 _OVERSAMPLING = 2.0
-"""Of a coarse image: `TAPS` taps then hold it to 80 dB."""
-_BETA = 11.0
-"""Of the Kaiser window of the taps."""
+"""Of a coarse image: `TAPS` taps then hold it to 72 dB."""
+_BETA = 7.0
+"""Of the Kaiser window of the taps: 56 dB are left at 11, and 70 at 6."""
 _REFINED = 2.0
 """What a pixel costs to interpolate, over what a pulse costs it."""
 
@@ -117,7 +117,8 @@ def part_of(history: PhaseHistory, plane: Plane) -> _Part | None:
     """The parts that take the least work; None where none takes less than the whole aperture at once.
 
     The phase of a pulse less that of its part's middle turns along a row by 2 f / c times the change of the line of
-    sight. That is the width of the part's spectrum.
+    sight. Of the ends of the band it turns by half the band, 2 B / 2 c, times the line of sight itself. Both together
+    are the width of the part's spectrum.
     """
     count, columns = history.position_m.shape[0], plane.shape[1]
     places = [history.position_m if history.transmitter_m is None else history.transmitter_m, history.position_m]
@@ -128,6 +129,7 @@ def part_of(history: PhaseHistory, plane: Plane) -> _Part | None:
         along += 0.5 * (to @ plane.column_m) / np.linalg.norm(to, axis=2)
     step = history.frequency_step_hz * history.samples.shape[0]
     turns = 2.0 * (history.frequency_start_hz + step).max() / SPEED_OF_LIGHT
+    ends = float(step.max()) / SPEED_OF_LIGHT * float(np.abs(along).max())
     best, least = None, 0.9
     for pulses in (16, 32, 64, 128, 256, 512):
         if pulses > count // 2:
@@ -136,7 +138,7 @@ def part_of(history: PhaseHistory, plane: Plane) -> _Part | None:
         for first in range(0, count, pulses):
             mine = along[first : first + pulses]
             wide = max(wide, float(np.abs(mine - mine[len(mine) // 2]).max()))
-        every = int(1.0 / (_OVERSAMPLING * 2.0 * wide * turns)) if wide > 0.0 else columns
+        every = min(int(1.0 / (_OVERSAMPLING * 2.0 * max(wide * turns + ends, 1e-12))), columns)
         work = (1.0 / every + (TAPS + 1) / columns) + _REFINED / pulses if every > 1 else 1.0
         if work < least:
             best, least = _Part(pulses, every), work

@@ -35,21 +35,28 @@ class Track:
         """Mean of both ways to the reference point, (p,) [m]."""
         return 0.5 * (np.linalg.norm(self.receiver_m, axis=1) + np.linalg.norm(self.transmitter_m, axis=1))
 
-    def apart(self) -> F64:
-        """Half of the unit vector to the transmitter less that to the receiver, (p, 3): sin(half their angle) long."""
+    def ends(self) -> tuple[F64, F64]:
+        """Unit vectors from the reference point to transmitter and receiver, (p, 3) each."""
         sent, received = (
             place / np.linalg.norm(place, axis=1, keepdims=True) for place in (self.transmitter_m, self.receiver_m)
         )
-        return 0.5 * (sent - received)
+        return sent, received
 
     def bistatic_deg(self) -> float:
         """Largest angle between transmitter and receiver, as the reference point sees them [deg]."""
-        return float(2.0 * np.rad2deg(np.arcsin(np.linalg.norm(self.apart(), axis=1).clip(0.0, 1.0))).max())
+        sent, received = self.ends()
+        half = 0.5 * np.linalg.norm(sent - received, axis=1)
+        return float(2.0 * np.rad2deg(np.arcsin(half.clip(0.0, 1.0))).max())
+
+    def mean_towards(self) -> F64:
+        """Mean of the unit vectors to both antennas, (p, 3): cos(half their angle) long. Over a way of x [m] the phase
+        turns by 2 k times its part along x: two antennas apart resolve less than one."""
+        sent, received = self.ends()
+        return 0.5 * (received + sent)
 
     def towards(self) -> F64:
         """Unit vectors from the reference point to the sensor, (p, 3); halfway between two antennas."""
-        ways = [place / np.linalg.norm(place, axis=1, keepdims=True) for place in (self.receiver_m, self.transmitter_m)]
-        both = ways[0] + ways[1]
+        both = self.mean_towards()
         unit: F64 = both / np.linalg.norm(both, axis=1, keepdims=True)
         return unit
 
