@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from warpsar.coherent.directions import radar_records
 from warpsar.coherent.rcs import RcsRequest
 from warpsar.coherent.records import records, upload
-from warpsar.coherent.sweep import POLARIZATIONS, RAYS_PER_WAVELENGTH, Worker
+from warpsar.coherent.sweep import POLARIZATIONS, RAYS_PER_WAVELENGTH, TERMS, Worker
 from warpsar.coherent.traced import LEVELS
 from warpsar.kernels.coherent import edges, radiate, tubes
 from warpsar.world.frame import SPEED_OF_LIGHT
@@ -20,7 +20,7 @@ from warpsar.world.world import World
 
 @dataclass(frozen=True)
 class Contributors:
-    """Amplitudes A [m] that add up to those of the terms `single`, `multibounce` and `edges`, p polarizations.
+    """Amplitudes A [m] that add up to those of the terms of single and further bounces and of edges, p polarizations.
 
     Their phase is zero in the middle of the body, not at the reference point.
     """
@@ -30,8 +30,10 @@ class Contributors:
     frequency_hz: float
     polarizations: tuple[str, ...]
     faces_m: dict[str, NDArray[np.complex128]]
-    """By `single` and `multibounce`: what each face of the mesh sends to the radar, (faces, p). A path of several faces
-    counts for each of them with what it sends from there."""
+    """By the terms of single and of further bounces: what each face of the mesh sends to the radar, (faces, p).
+
+    A path of several faces counts for each of them with what it sends from there.
+    """
     start: NDArray[np.float64]
     """Ends of the edges that diffract about the reference point, (e, 3) [m]."""
     end: NDArray[np.float64]
@@ -61,7 +63,7 @@ def contributors(
     radars = upload(records_of, tubes.TubeRadar, body.device)
     chosen = [POLARIZATIONS.index(name) for name in radar.polarizations]
     faces = _of_faces(worker, asked, radars)[..., chosen]
-    told = {"single": faces[:, 0], "multibounce": faces[:, 1]}
+    told = {TERMS[0]: faces[:, 0], TERMS[1]: faces[:, 1]}  # the first bounce, and all later ones
     which = body.cuts(np.pi / k[0])[0]
     some, place = np.unique(which, return_inverse=True)
     along = np.zeros((len(some), len(POLARIZATIONS)), np.complex128)
