@@ -1,6 +1,6 @@
 """How fast `warpsar.rcs` is on the Austin suite's boxes and model aircraft, how its time grows, what gradients take.
 
-    python benchmarks/coherent.py DATA [--device cuda] [--only cylindrical] [--growth] [--gradients]
+    python benchmarks/coherent.py DATA [--device cuda] [--only cylindrical] [--growth] [--gradients] [--large]
         [--out coherent.json] [--write]
 
 DATA is the folder of the suite (benchmarks/rcs_checks.py), with austin_bodies/ beside it. A sweep: 361 angles, 2.56,
@@ -11,6 +11,10 @@ the tree are `prepare`.
 
 `--gradients` times, beside the values of `warpsar.rcs` (with their errors), one pass back to all vertices (`vjp`), of
 31 angles from 10 to 70 degrees in two polarizations, at 7 GHz, and at the four frequencies together.
+
+`--large` times a direction of the aircraft in its full size of 15 m, 174,112 faces, at 10.24 GHz, with more and
+more rays.
+`stated error` is the median of `spacing_error_db`; `off` is the median |dB| from the sweep with the most rays.
 
 `--profile` prints seconds for each kernel instead, on one thread: it waits for each launch to end.
 """
@@ -44,6 +48,9 @@ from warpsar.world.mesh import read_mesh
 FREQUENCIES = (2.56e9, 5.12e9, 7e9, 10.24e9)
 ANGLES = 361
 METAL = {name: make for name, (_, make) in BODIES.items() if name not in MATERIALS}
+FULL_SIZE = 592.763 / 9.1875
+"""Of the aircraft, over the model that was measured: the lengths that the suite states [in]."""
+DENSITIES, LARGE_ANGLES = (4.0, 5.0, 7.0, 10.0, 14.0, 20.0), 16
 METAL["aircraft"] = lambda data: read_mesh(data.parent / "austin_bodies" / "prime_closed_duct.obj")
 
 
@@ -90,12 +97,16 @@ def profile(body: CoherentBody, angles: int, frequencies: tuple[float, ...]) -> 
     return tables.markdown(("kernel", "launches", "threads", "seconds"), [*lines, ("the rest", "", "", f"{rest:.3f}")])
 
 
-def prepared(data: Path, name: str, device: str | None, cuts: int = 0) -> tuple[CoherentBody, dict[str, Any]]:
+def prepared(
+    data: Path, name: str, device: str | None, cuts: int = 0, scale: float = 1.0
+) -> tuple[CoherentBody, dict[str, Any]]:
     """A body on the device. `cuts`: how often each of its faces is cut into four."""
     started = time.process_time()
     mesh = METAL[name](data)
     for _ in range(cuts):
         mesh = warpsar.Mesh.of(*trimesh.remesh.subdivide(mesh.vertices, mesh.faces))
+    if scale != 1.0:
+        mesh = warpsar.Mesh.of(scale * mesh.vertices, mesh.faces)
     scene = scene_of(mesh)
     radar = warpsar.Radar(frequency_hz=max(FREQUENCIES), polarizations=("HH", "VV"))
     body = CoherentBody.of(dataclasses.replace(scene, radar=radar), devices.resolve_device(device))
@@ -117,6 +128,43 @@ def growth(
             ("faces x 4", finer, 46, few, {}),
         )
     ]
+
+
+def large(data: Path, device: str | None, densities: tuple[float, ...] = DENSITIES) -> list[dict[str, Any]]:
+    """A direction of the aircraft in its full size, with few rays and with many."""
+    body, about = prepared(data, "aircraft", device, cuts=1, scale=FULL_SIZE)
+    directions = Directions.of(np.linspace(-87.0, 93.0, LARGE_ANGLES, endpoint=False), 90.0)
+    few, rows, sums = FREQUENCIES[-1:], [], []
+    sweep(body, directions[:1], few, rays_per_wavelength=densities[0], compare=True)  # kernels, first touch
+    for density in densities:
+        seconds = []
+        for compare in (False, True):
+            started = time.perf_counter()
+            found = sweep(body, directions, few, rays_per_wavelength=density, compare=compare)
+            seconds.append((time.perf_counter() - started) / LARGE_ANGLES)
+        total = found.amplitude.sum(axis=2)[:, 0, (0, 3)]  # HH and VV
+        sums.append(total)
+        stated = 20.0 * np.log10(1.0 + found.spacing_error[:, 0, (0, 3)] / np.abs(total))
+        rows.append({**about, "rays_per_wavelength": density, "segments": found.segments / LARGE_ANGLES,
+                     "direction_s": seconds[0], "with_error_s": seconds[1], "stated_db": float(np.median(stated)),
+                     "aliased": float(found.aliased.mean())})  # fmt: skip
+    for made, total in zip(rows, sums, strict=True):
+        made["off_db"] = float(np.median(np.abs(20.0 * np.log10(np.abs(total / sums[-1])))))
+    return rows
+
+
+def large_table(rows: list[dict[str, Any]]) -> str:
+    header = ("faces", "rays per wavelength", "segments a direction", "a direction [ms]", "with its error [ms]",
+              "stated error [dB]", "off [dB]", "tubes that alias")  # fmt: skip
+    return tables.markdown(
+        header,
+        [
+            (r["faces"], f"{r['rays_per_wavelength']:g}", f"{r['segments'] / 1e6:.1f} M",
+             f"{1e3 * r['direction_s']:.0f}", f"{1e3 * r['with_error_s']:.0f}", f"{r['stated_db']:.2f}",
+             f"{r['off_db']:.2f}", f"{100.0 * r['aliased']:.2g} %")
+            for r in rows
+        ],
+    )  # fmt: skip
 
 
 def gradients(data: Path, name: str, device: str | None) -> list[dict[str, Any]]:
@@ -166,6 +214,7 @@ def main() -> None:
     parser.add_argument("--profile", action="store_true", help="seconds for each kernel")
     parser.add_argument("--growth", action="store_true", help="also how the time of the cobra duct grows")
     parser.add_argument("--gradients", action="store_true", help="also what gradients to all vertices take")
+    parser.add_argument("--large", action="store_true", help="also a direction of the aircraft in its full size")
     tables.add_options(parser)
     options = parser.parse_args()
     if options.source:
@@ -189,6 +238,9 @@ def main() -> None:
             if options.growth and name.startswith("cobra"):
                 grown += growth(body, about, prepared(options.data, name, options.device, cuts=1))
                 tables.save(options.out, result)
+        if options.large:
+            result["large"] = large(options.data, options.device)
+            tables.save(options.out, result)
     header = ("sweep", "faces", "angles", "frequencies", "segments", "wall [s]", "CPU [s]", "segments per wall second",
               "with its error, wall [s]", "prepare, CPU [s]")  # fmt: skip
     if options.profile:
@@ -199,6 +251,8 @@ def main() -> None:
         bodies[f"coherent.growth.{kind}"] = tables.markdown(header, map(row, result["growth"]))
     if result.get("gradients"):
         bodies[f"coherent.gradients.{kind}"] = gradients_table(result["gradients"])
+    if result.get("large"):
+        bodies[f"coherent.large.{kind}"] = large_table(result["large"])
     tables.publish(bodies, result, options.write)
 
 

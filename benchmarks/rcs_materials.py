@@ -1,11 +1,16 @@
 """Bodies of the Austin suite with something undeclared: what their curves say where the scene says otherwise.
 
-    python benchmarks/rcs_materials.py DATA -o out/
+    python benchmarks/rcs_materials.py DATA -o out/ [--only WORD] [--held-back [--write]]
 
 DATA is the folder of measured data, with austin_rcs/ and austin_bodies/ in it. The almond (III.A all metal, III.C with
 a tip of resin) is asked about its tip, with metal and with resin declared for it. Boxes and the aircraft PRIME are of
 one material, and are asked about all of it, and about each flat part that an opening may lie behind. Bare are the
 bodies that are declared as they are: nothing may be named there. 7 GHz is test, the rest train.
+
+`--held-back` asks all bodies, and four more that are declared as another material, again with other curves held back:
+each frequency alone; every second sector of 20 degrees at all frequencies; and the second model of a body, which is
+twice as large and was measured at half the frequency. It counts what is named or tied, and how often eps_r lies in its
+interval.
 
 Printed: mean abs(dB) of every curve as declared, then what was asked and the answers. `out/rcs_materials.json` has all
 numbers, and the table is printed last.
@@ -16,15 +21,15 @@ from __future__ import annotations
 import argparse
 import json
 import os
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import rcs_bodies as bodies
 import tables
-from rcs_curves import SATURATED_DEG
+from rcs_curves import DIELECTRIC, SATURATED_DEG
 
 import warpsar
 from warpsar.compare.curve import compare_curves
@@ -38,8 +43,10 @@ from warpsar.world.world import NO_IMAGE
 ROOT = Path(__file__).resolve().parent.parent
 TIP = "tip_ogive"
 METAL = warpsar.Material(conductor=True)
-RESIN = warpsar.Material(eps_r=(2.92, -0.087), rms_height_m=0.0)
+RESIN_EPS = 2.92
+RESIN = warpsar.Material(eps_r=(RESIN_EPS, -0.087), rms_height_m=0.0)
 """The suite's value at 5 GHz; it is 2.96 at 2.58 GHz and 2.90 at 7 GHz."""
+SECTOR_DEG = 20.0
 FRONT = "x 0.000 to 0.000"
 """Of the boxes: the plane that the mouths lie in."""
 TERMS = ("single", "edges", "multibounce")
@@ -108,6 +115,94 @@ def cases(data: Path) -> Iterator[Case]:
     yield Case("closed aircraft", "closed aircraft", None, made)
 
 
+def wrongly_declared(data: Path) -> Iterator[Case]:
+    """Bodies of one material that are declared as another one."""
+    suite, more = data / "austin_rcs", data / "austin_bodies"
+    slab = {f: warpsar.Material(**table) for f, table in DIELECTRIC.items()}[5.12e9]
+    for what, declared, mesh, material, folder, code, saturated, right in (
+        ("metal plate", "a dielectric plate", bodies.sheet(), slab, suite, "II.B.sx1", False, ("metal", "")),
+        ("dielectric plate", "a sheet of metal", bodies.sheet(), METAL, suite, "II.C.sx1", False, ("dielectric", "")),
+        ("closed box", "a box of resin", bodies.closed_box(), RESIN, suite, "IIIS.A.s1", True, ("metal", "")),
+        ("closed aircraft", "an aircraft of resin", read_mesh(more / "prime_closed_duct.obj"), RESIN, more, "IV.A.s1",
+         False, ("metal", "")),
+    ):  # fmt: skip
+        scene = scene_of(mesh, dict.fromkeys(mesh.materials, material), folder, code, saturated)
+        yield Case(what, declared, right, scene)
+
+
+def held_back(case: Case, data: Path, out: Path) -> Iterator[tuple[str, warpsar.Scene]]:
+    """The case with other curves as test, each with words for what these are. All other measured curves are train."""
+    curves = case.scene.curves
+    each = [float(np.loadtxt(one.file, max_rows=1)[0]) for one in curves]
+
+    def scene(chosen: Iterable[Curve]) -> warpsar.Scene:
+        return replace(case.scene, curves=tuple(chosen))
+
+    for frequency in sorted(set(each)):
+        yield (
+            f"{frequency / 1e9:.3g} GHz",
+            scene(
+                one.model_copy(update={"role": "test" if f == frequency else "train"})
+                for one, f in zip(curves, each, strict=True)
+            ),
+        )
+    yield (
+        "sectors",
+        scene(
+            one.model_copy(update={"role": role, "mask": _sectors(first, one.mask)})
+            for one in curves
+            for first, role in enumerate(("train", "test"))
+        ),
+    )
+    second = [_second_model(one, data, out) for one in curves]
+    if any(second):
+        train = [one.model_copy(update={"role": "train"}) for one in curves]
+        yield "second model", scene([*train, *(one for one in second if one is not None)])
+
+
+def _sectors(first: int, mask: Sequence[tuple[float, float]] | None) -> list[tuple[float, float]]:
+    """Every second sector from -90 to 90 degrees, where the mask lets them through."""
+    parts = []
+    for start in np.arange(-90.0 + first * SECTOR_DEG, 90.0, 2.0 * SECTOR_DEG).tolist():
+        for low, high in mask or [(-90.0, 90.0)]:
+            if (a := max(start, low)) < (b := min(start + SECTOR_DEG - 0.01, high)):
+                parts.append((a, b))
+    return parts
+
+
+def _second_model(one: Curve, data: Path, out: Path) -> Curve | None:
+    """The curve of the model of twice the size, at the frequency that it stands for; None where there is none."""
+    name = Path(one.file).name.replace("meas_rcs", "meas.m2_rcs")
+    source = data / "austin_bodies" / "measured_2x" / name
+    if not source.exists():
+        return None
+    rows = np.loadtxt(source)
+    if "III.A" in name:  # its files state the frequency at which the large model was measured
+        rows[:, 0] *= 2.0
+    target = out / "second_model" / name
+    target.parent.mkdir(parents=True, exist_ok=True)
+    np.savetxt(target, rows, fmt="%.6f")
+    return one.model_copy(update={"file": target, "role": "test"})
+
+
+def counted(rows: Sequence[dict[str, Any]]) -> str:
+    """A line for each body and declaration: what was answered with which curves held back."""
+    lines = []
+    for measured, declared in dict.fromkeys((row["measured"], row["declared"]) for row in rows):
+        mine = [row for row in rows if (row["measured"], row["declared"]) == (measured, declared)]
+        good = [row["held_back"] for row in mine if row["right"]]
+        bad = [f"{row['held_back']}: {row['answer']}" for row in mine if not row["right"]]
+        wanted = mine[0]["wanted"] or "nothing"
+        lines.append((measured, declared, wanted, f"{len(good)} of {len(mine)}", "; ".join(bad) or "none"))
+    for what, some in (
+        ("declared wrongly", [row for row in rows if row["wanted"]]),
+        ("declared as they are", [row for row in rows if not row["wanted"]]),
+    ):
+        right = sum(row["right"] for row in some)
+        lines.append((what, "", "", f"{right} of {len(some)}", ""))
+    return tables.markdown(("measured", "declared", "to be found", "right", "wrong answers"), lines)
+
+
 def answer(asked: Sequence[MaterialTest]) -> str:
     """What the loop says."""
     said = [one for one in asked if one.outcome in ("named", "tied")]
@@ -144,14 +239,46 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
     return tables.markdown(head, lines)
 
 
+def count_held_back(options: argparse.Namespace) -> int:
+    path = options.out / "held_back.json"
+    result: dict[str, Any] = {"made": tables.made(), "rows": []}
+    if path.exists():
+        result["rows"] = json.loads(path.read_text())["rows"]
+    there = {(row["measured"], row["declared"], row["held_back"]) for row in result["rows"]}
+    for case in (*cases(options.data), *wrongly_declared(options.data)):
+        if options.only and options.only not in f"{case.measured}, {case.declared}":
+            continue
+        for what, scene in held_back(case, options.data, options.out):
+            if (case.measured, case.declared, what) in there:
+                continue
+            asked = ask(scene, options.out / "cache", parts=case.parts)
+            row = {"measured": case.measured, "declared": case.declared, "held_back": what, "answer": answer(asked),
+                   "wanted": case.right and case.right[0], "right": is_right(asked, case.right),
+                   "asked": [asdict(one) for one in asked]}  # fmt: skip
+            result["rows"].append(row)
+            path.write_text(json.dumps(plain(result), indent=1) + "\n", encoding="utf-8")
+            print(case.measured, case.declared, what, row["answer"], "right" if row["right"] else "wrong", sep="; ",
+                  flush=True)  # fmt: skip
+    resin = [one["eps_r"] for row in plain(result)["rows"] if "tip of resin" in row["measured"]
+             for one in row["asked"] if one["kind"] == "dielectric" and one["eps_r"]]  # fmt: skip
+    inside = sum(one["low"] <= RESIN_EPS <= one["high"] for one in resin)
+    print(f"eps_r of the tip of resin, {RESIN_EPS}: inside its interval in {inside} of {len(resin)}")
+    tables.publish({"rcs_held_back": counted(result["rows"])}, result, options.write)
+    return 0
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     default = Path(os.environ.get("WARPSAR_MEASURED") or ROOT.parent / "shared" / "data")
     parser.add_argument("data", type=Path, nargs="?", default=default, help="the folder of measured data")
     parser.add_argument("-o", "--out", type=Path, required=True, help="folder for rcs_materials.json and the cache")
     parser.add_argument("--only", help="cases whose measured body has this word")
+    parser.add_argument("--held-back", action="store_true", help="ask again with other curves held back, and count")
+    tables.add_write(parser)
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
+    if options.held_back:
+        return count_held_back(options)
     cache, result = options.out / "cache", {"made": tables.made(), "rows": []}
     for case in cases(options.data):
         if options.only and options.only not in case.measured:

@@ -57,6 +57,12 @@ from warpsar.cli import options
 )
 @click.option("--layers", is_flag=True, help="Also write layers.csv: each term, and each number of bounces, by itself.")
 @click.option(
+    "--contributors",
+    type=click.FloatRange(-360.0, 360.0),
+    metavar="AZIMUTH",
+    help="Also write contributors.html: the body in 3D, each face and edge by what it sends back at this azimuth.",
+)
+@click.option(
     "--max-memory",
     type=click.FloatRange(min=0, min_open=True),
     metavar="GIB",
@@ -73,6 +79,7 @@ def command(
     rays_per_wavelength: float,
     isar: bool,
     layers: bool,
+    contributors: float | None,
     max_memory: float | None,
     device: str | None,
 ) -> None:
@@ -86,11 +93,14 @@ def command(
       warpsar rcs body.stl --material metal --frequencies 10e9 --azimuths 0:360:0.5
       warpsar rcs scene.toml -o out/ --azimuths 0:180.5:0.5
       warpsar rcs scene.toml -o out/ --azimuths 0,45,90 --incidences 60 --frequencies 5e9,10e9
+      warpsar rcs scene.toml -o out/ --azimuths 0:90:1 --contributors 45
       warpsar rcs scene.toml -o out/ --azimuths=-20:20:0.5 --frequencies 8e9:12e9:50e6 --isar
     """
     from warpsar.coherent.command import run
+    from warpsar.runtime import console
+    from warpsar.simulation.naming import angles
 
-    run(
+    found = run(
         body,
         out,
         material=material,
@@ -103,3 +113,18 @@ def command(
         layers=layers,
         max_memory_gib=max_memory,
     )
+    if contributors is not None:
+        from warpsar.viewer import contributors as viewer
+
+        first = float(angles(incidences, "--incidences", 0.0, 180.0, ends=True)[0])
+        page = viewer.run(
+            body,
+            out,
+            contributors,
+            first,
+            float(found["frequencies_hz"][-1]),
+            material=material,
+            device=device,
+            rays_per_wavelength=rays_per_wavelength,
+        )
+        console.say(str(page))

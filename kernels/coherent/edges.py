@@ -143,3 +143,24 @@ def edges_kernel(
             if seen_in[view, j] != wp.uint8(0):
                 total = plus(total, diffracted(radar_in[view], k, edge_in[j]))
     keep(view, f, chunk, total, amplitude_out)
+
+
+@wp.kernel(enable_backward=False)
+def pieces_kernel(
+    # In:
+    radar_in: wp.array[TubeRadar],
+    k: wp.float64,
+    edge_in: wp.array[Edge],
+    seen_in: wp.array2d[wp.uint8],
+    # Out:
+    amplitude_out: wp.array2d[wp.vec2d],
+):
+    """Fringe currents of each piece of an edge by itself, (pieces, 4)."""
+    i = wp.tid()
+    four = Four()
+    if seen_in[0, i] != wp.uint8(0):
+        four = diffracted(radar_in[0], k, edge_in[i])
+    amplitude_out[i, 0] = four.hh
+    amplitude_out[i, 1] = four.hv
+    amplitude_out[i, 2] = four.vh
+    amplitude_out[i, 3] = four.vv

@@ -181,6 +181,55 @@ def tubes_kernel(
     amplitude_out[chunk, f, 1, 3] = more_vv
 
 
+@wp.func
+def add_to(face: int, later: int, four: Four, total_out: wp.array3d[wp.vec2d]):
+    wp.atomic_add(total_out, face, later, 0, four.hh)
+    wp.atomic_add(total_out, face, later, 1, four.hv)
+    wp.atomic_add(total_out, face, later, 2, four.vh)
+    wp.atomic_add(total_out, face, later, 3, four.vv)
+
+
+@wp.kernel(enable_backward=False)
+def by_face_kernel(
+    # In:
+    radar_in: wp.array[TubeRadar],
+    k: wp.float64,
+    stuff_in: wp.array2d[Face],
+    material_in: wp.array[int],
+    region_in: wp.array[int],
+    exact_in: wp.array2d[wp.uint8],
+    view_in: wp.array[int],
+    used_in: wp.array[int],
+    hits_in: wp.array2d[Hit],
+    count_in: wp.array[int],
+    # Out:
+    total_out: wp.array3d[wp.vec2d],
+):
+    """As `tubes_kernel` at one frequency, kept for the face that sends it: (faces, first or later bounce, 4)."""
+    ray = wp.tid()
+    if used_in[ray] == 0:
+        return
+    view = view_in[ray]
+    u = radar_in[view].u
+    v = radar_in[view].v
+    fields = Pair()
+    fields.h = unit(u)
+    fields.v = unit(v)
+    for b in range(count_in[ray]):
+        hit = hits_in[b, ray]
+        back = bounced_fields(stuff_in[0, material_in[hit.face]], k, fields, hit.d, hit.normal)
+        counts = hit.seen
+        region = region_in[hit.face]
+        if b == 0 and region >= 0:
+            if exact_in[view, region] != wp.uint8(0):
+                counts = 0
+        if counts != 0:
+            sight = look(radar_in[view], hit.point, 0.0)
+            four = sent(tube_factor(k, hit, sight), fields, back, hit.d, hit.normal, sight.s, u, v)
+            add_to(hit.face, wp.min(b, 1), four, total_out)
+        fields = back
+
+
 @wp.struct
 class Region:
     """A flat part of the surface with its border, a list of straight edges around the normal."""
@@ -285,3 +334,25 @@ def regions_kernel(
                 four = flat_sent(stuff_in[f, region.material], k, integral, region.normal, s, u, v)
             total = plus(total, four)
     keep(view, f, chunk, total, amplitude_out)
+
+
+@wp.kernel(enable_backward=False)
+def by_triangle_kernel(
+    # In:
+    radar_in: wp.array[TubeRadar],
+    k: wp.float64,
+    stuff_in: wp.array2d[Face],
+    region_in: wp.array[Region],
+    middle_in: wp.array[wp.vec3d],
+    edge_in: wp.array[wp.vec3d],
+    face_in: wp.array[int],
+    # Out:
+    total_out: wp.array3d[wp.vec2d],
+):
+    """Physical optics of triangles that a flat region is made of, each a region by itself: to those of their faces."""
+    i = wp.tid()
+    region = region_in[i]
+    s = radar_in[0].s
+    integral = phase_integral(region, k, s, middle_in, edge_in)
+    four = flat_sent(stuff_in[0, region.material], k, integral, region.normal, s, radar_in[0].u, radar_in[0].v)
+    add_to(face_in[i], 0, four, total_out)

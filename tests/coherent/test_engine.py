@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 import warp as wp
-from bodies import FREQUENCY, WAVELENGTH, K, amplitudes, cross_section, decibels, plate, rectangles, scene
+from bodies import FREQUENCY, WAVELENGTH, K, amplitudes, cross_section, decibels, dihedral, plate, rectangles, scene
 from scipy.special import erf, fresnel
 from worlds import scene_of, view
 
@@ -18,6 +18,7 @@ from warpsar.coherent import rays as cells
 from warpsar.coherent import sweep as sweeping
 from warpsar.coherent import traced
 from warpsar.coherent.body import CoherentBody
+from warpsar.coherent.contributors import contributors
 from warpsar.coherent.directions import Directions, radar_records
 from warpsar.coherent.joints import joints
 from warpsar.coherent.shape import shape_of
@@ -344,3 +345,17 @@ def test_a_current_ends_with_its_face(y: float) -> None:
     s = np.array([np.cos(phi), np.sin(phi), 0.0])
     whole, cut = (np.abs(_fringes(s, phi, end)[0, 0]) for end in (1e9, y / (K * (1.0 - np.cos(phi)))))
     assert cut / whole == pytest.approx(np.abs(erf(np.sqrt(1j * y))), abs=0.06)
+
+
+def test_contributors_add_up_to_the_terms() -> None:
+    """Faces and edges of a dihedral between slanted directions: the sums of `rcs`, to the rounding of 1e5 tubes."""
+    made = scene(dihedral(0.15, 0.12))
+    found = contributors(made, 40.0, 80.0)
+    whole = warpsar.rcs(made, [40.0], [80.0])
+    for term, of_faces in found.faces_m.items():
+        amplitude = whole.terms_m[term][0, 0, 0]
+        np.testing.assert_allclose(np.abs(of_faces.sum(axis=0)), np.abs(amplitude), atol=1e-12)
+    assert np.abs(found.faces_m["multibounce"][:, 0]).min() > 0.0  # both plates send
+    edges = whole.terms_m["edges"][0, 0, 0]
+    np.testing.assert_allclose(np.abs(found.edges_m.sum(axis=0)), np.abs(edges), atol=1e-12)
+    assert len(found.start) == 7  # six borders, and the outer side of the fold

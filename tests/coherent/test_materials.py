@@ -244,6 +244,7 @@ def test_rcs_writes_its_table(files: Path) -> None:
         ({"conductor": True, "eps_r": 3.0}, r"eps_r of a conductor has no effect without thickness_m"),
         ({"eps_r": 3.0, "rms_height_m": 0.0}, r"fill a half-space .* open at 4 edges"),
         ({"eps_r": 3.0, "rms_height_m": 0.0}, "edges of default have no term"),
+        ({"conductor": True, "eps_r": 3.0, "thickness_m": 0.002}, "edges of default diffract as those of bare metal"),
     ],
 )
 def test_what_may_be_meant_otherwise_is_said(material: dict[str, Any], message: str) -> None:
@@ -251,6 +252,9 @@ def test_what_may_be_meant_otherwise_is_said(material: dict[str, Any], message: 
     assert any(re.search(message, line) for line in cautions(scene(plate(0.1, 0.1), material=material)))
     found = warpsar.rcs(scene(plate(0.1, 0.1), material=material), 90.0, device="cpu")
     assert any(re.search(message, line) for line in found.warnings)
+    assert np.isnan(found.model_error_m).all() == (
+        material.get("thickness_m") is not None or "conductor" not in material
+    )
 
 
 def test_a_closed_half_space_and_a_plain_conductor_need_no_word() -> None:

@@ -148,6 +148,31 @@ def test_a_smooth_body_is_shown_without_images(tmp_path: Path) -> None:
     assert all(one["images"] == {} for one in state["views"])
 
 
+def test_a_page_of_contributors_has_a_level_for_each_term(tmp_path: Path) -> None:
+    """The trihedral from its axis: three bounces send most, faces seen aslant least; all terms have one scale."""
+    words = [
+        "rcs",
+        str(ROOT / "data/coherent/trihedral.toml"),
+        "-o",
+        str(tmp_path),
+        "--azimuths",
+        "45",
+        "--device",
+        "cpu",
+    ]
+    words += ["--incidences", "54.7356", "--frequencies", "5e9", "--contributors", "45"]
+    done = CliRunner().invoke(main, words)
+    assert done.exit_code == 0, done.output
+    (state,) = content_of((tmp_path / "contributors.html").read_text())["states"]
+    levels = {one["label"]: np.frombuffer(base64.b64decode(one["values"]), "<f4") for one in state["parameters"]}
+    highest = {label.split(",")[0]: float(values.max()) for label, values in levels.items() if "HH" in label}
+    assert set(highest) == {"all terms", "single", "multibounce", "edges"}
+    assert highest["multibounce"] > highest["edges"] > highest["single"]
+    whole = np.concatenate([*levels.values()])
+    for one in state["parameters"]:
+        assert one["ends"] == pytest.approx([whole.min(), whole.max()], abs=1e-5)  # float32 of tens of dB
+
+
 def test_before_and_after_share_one_scale(tmp_path: Path, sheet: warpsar.Scene) -> None:
     brighter = tmp_path / "brighter.toml"
     brighter.write_text(BOX.replace("eps_r = 5.0", "eps_r = 12.0"))

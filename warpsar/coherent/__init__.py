@@ -17,6 +17,7 @@
 | `directions.py` | axes of a direction |
 | `sides.py` | which side of an open surface the radar sees |
 | `rcs.py` | `warpsar.rcs`: checks, the sweep, and what a user should know before trusting it |
+| `contributors.py` | what each face and each edge sends back in one direction |
 | `held.py` | amplitudes of one direction with all that is discrete held, as programs that run backward |
 | `borders.py` | borders of light, and what a moving border adds to a derivative |
 | `left_out.py` | what a scene declares and a product with phase does not have |

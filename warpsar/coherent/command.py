@@ -86,7 +86,7 @@ def run(
         ]
         if frequency != sorted(frequency):
             raise InputError(f"--frequencies: found {frequencies!r}; must ascend")
-    scene, out = _scene(Path(path), material, frequency), Path(out)
+    scene, out = scene_of(Path(path), material, frequency), Path(out)
     if isar:
         refuse_steps(scene, azimuth, incidence, frequency or [scene.radar.frequency_hz])
     asked = RcsRequest.of(scene, azimuth, incidence, frequency, device, rays_per_wavelength, layers, max_memory_gib)
@@ -139,7 +139,7 @@ def run(
     return content
 
 
-def _scene(path: Path, material: str | None, frequency_hz: list[float] | None) -> Scene:
+def scene_of(path: Path, material: str | None, frequency_hz: list[float] | None) -> Scene:
     """The scene of a scene file, or of a mesh file in one material."""
     if path.suffix.lower() == ".toml":
         if material is not None:

@@ -75,8 +75,8 @@ class Rcs:
     model_error_m: NDArray[np.float64]
     """What physical optics, edges and rays leave out of the amplitude [m], root mean square (`interval.error_m2`).
 
-    NaN where it is not known: for HV and VH, for a body that is not all of metal, and without one of the `CALIBRATED`
-    terms.
+    NaN where it is not known: for HV and VH, for a body that is not all of bare metal, and without one of the
+    `CALIBRATED` terms.
     """
     refined: NDArray[np.float64]
     """(a, i): share of the tubes that got too wide and were cut."""
@@ -239,7 +239,8 @@ def swept(scene: World, asked: RcsRequest, layers: bool = False) -> Rcs:
         found.segments,
         asked.cautions,
     )
-    metal = all(scene.materials[name].conductor for name in scene.mesh.materials)
+    used = [scene.materials[name] for name in scene.mesh.materials]
+    metal = all(one.conductor and one.thickness_m is None for one in used)
     if metal and set(CALIBRATED) <= set(scene.radar.terms):
         made = replace(made, model_error_m=_model_error_m(made))
     return replace(made, warnings=(*asked.cautions, *_warnings(scene, made, strongest)))
@@ -340,33 +341,30 @@ def _warnings(scene: World, found: Rcs, strongest: NDArray[np.float64]) -> list[
     warnings = []
     if (count := int((found.refined > 0.0).sum())) > 0:
         warnings.append(
-            f"in {count} of {found.refined.size} directions tubes got too wide after curved faces and were cut (up to "
-            f"{100 * found.refined.max():.2g} % of them)"
+            f"in {count} of {found.refined.size} directions up to {100 * found.refined.max():.2g} % of the tubes got "
+            "too wide after curved faces and were cut"
         )
     if (count := int((found.aliased > 0.0).sum())) > 0:
         warnings.append(
-            f"in {count} of {found.aliased.size} directions up to {100 * found.aliased.max():.2g} % of the tubes are "
-            "too wide even so: each adds up as if its face were flat, too strong toward the mirror direction and too "
-            "weak beside it; spacing_error_db says about how much, and more --rays-per-wavelength makes them fewer"
+            f"in {count} of {found.aliased.size} directions up to {100 * found.aliased.max():.2g} % of the tubes stay "
+            "too wide: more --rays-per-wavelength makes them fewer"
         )
     # (f, p)
     nothing = found.rcs_m2.max(axis=(0, 1)) <= NOTHING * strongest[:, None]
     for p in np.flatnonzero((nothing & (strongest[:, None] > 0.0)).all(axis=0)):
-        warnings.append(
-            f"there is no {found.polarizations[p]} return: its numbers are rounding errors, "
-            f"{-10.0 * np.log10(NOTHING):g} dB and more under the strongest polarization"
-        )
+        warnings.append(f"there is no {found.polarizations[p]} return: its numbers are rounding errors")
     strong = ~nothing & (found.rcs_m2 > 10.0 ** (-WEAK_DB / 10.0) * found.rcs_m2.max(axis=(0, 1)))
     if (count := int((strong & (found.spacing_error_db > LARGE_DB)).sum())) > 0:
         warnings.append(
-            f"at {count} of {int(strong.sum())} values within {WEAK_DB:g} dB of the strongest tubes of twice the width "
-            f"change the RCS by more than {LARGE_DB:g} dB (spacing_error_db): ask for more --rays-per-wavelength"
+            f"at {count} of {int(strong.sum())} values within {WEAK_DB:g} dB of the strongest one spacing_error_db is "
+            f"above {LARGE_DB:g} dB: ask for more --rays-per-wavelength"
         )
     low = found.fresnel_number < FEW
     if low.any() and "multibounce" in scene.radar.terms:
         warnings.append(
-            f"the Fresnel number is below {FEW:g} at {int(low.sum())} of {low.size} values (down to "
-            f"{found.fresnel_number[low].min():.2g}): there rays do not hold, and multibounce is no better than chance"
+            f"rays do not hold in a cavity at {int(low.sum())} of {low.size} values (Fresnel number down to "
+            f"{found.fresnel_number[low].min():.2g}): multibounce is no better than chance there"
+            + (", and the interval counts it all as error" if np.isfinite(found.model_error_m).any() else "")
         )
     return warnings
 
@@ -386,13 +384,19 @@ def cautions(scene: World) -> list[str]:
         for i in filled:
             if count := int((open_edges & (mesh.face_material[seams.face] == i)).sum()):
                 found.append(
-                    f"materials.{mesh.materials[i]}: its faces fill a half-space (it has no thickness_m), and the mesh "
-                    f"is open at {count} edges: seen from behind they reflect as if filled there, too"
+                    f"materials.{mesh.materials[i]}: its faces fill a half-space (no thickness_m), and the mesh is "
+                    f"open at {count} edges: what is seen from behind is wrong"
                 )
     dielectrics = sorted(name for name, m in used.items() if not m.conductor and m.thickness_m is None)
     if dielectrics and "edges" in scene.radar.terms:
         found.append(
-            f"edges of {', '.join(dielectrics)} have no term: that of edges is for conductors. Away from mirror "
-            "directions the RCS of such bodies is too low, often by many decibels"
+            f"edges of {', '.join(dielectrics)} have no term: away from mirror directions the RCS is too low, often by "
+            "many decibels"
+        )
+    coated = sorted(name for name, m in used.items() if m.conductor and m.thickness_m is not None)
+    if coated and "edges" in scene.radar.terms:
+        found.append(
+            f"edges of {', '.join(coated)} diffract as those of bare metal: right to 3 dB for layers of up to a "
+            "twentieth of a wavelength, and wrong by 6 to 13 dB for absorbers"
         )
     return found

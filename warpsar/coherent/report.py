@@ -38,7 +38,7 @@ def write_report(out: Path, found: Rcs, content: dict[str, Any], command: Sequen
     )
     highest = f"Highest: {best[3]} dBsm in {best[1]} at {best[0]} GHz, from azimuth {best[4]} and incidence {best[5]}."
     widths = content["interval"]["width_db"]
-    interval = "No interval for the whole value: it is known for bodies of metal in HH and VV alone."
+    interval = "No interval for the whole value: it is known for bodies of bare metal in HH and VV alone."
     if widths is not None:
         interval = f"The 95 % interval of a value is {widths['median']:.1f} dB wide in the median."
     pictures = {

@@ -295,9 +295,12 @@ class Worker:
         found: NDArray[np.complex128] = pairs[..., 0] + 1j * pairs[..., 1]
         return found
 
+    def grid(self, directions: Directions, spacing: float) -> CellGrid:
+        return CellGrid(self.body, directions, spacing, self.distance)
+
     def tubes(self, directions: Directions, radars: wp.array, exact: wp.array, spacing: float) -> tuple[CellGrid, Sums]:
         """The grid of some directions, and what its tubes add up to. The many tubes of one direction go in parts."""
-        grid = CellGrid(self.body, directions, spacing, self.distance)
+        grid = self.grid(directions, spacing)
         task = self.task - self.task % cells.RAYS
         tasks = [
             partial(self.tracer.sums, radars, exact, grid, start, min(start + task, len(grid)))

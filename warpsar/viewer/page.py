@@ -100,7 +100,7 @@ def _state(state: State, scales: dict[str, ColourScale]) -> dict[str, Any]:
             _group("material", drawn.materials, by_meaning(drawn.materials), drawn.material),
             _group("object", drawn.owners, strong(len(drawn.owners)), drawn.owner),
         ],
-        "parameters": [_parameter(key, values) for key, values in drawn.parameters.items()],
+        "parameters": [_parameter(key, values) for key, values in drawn.parameters.items()] + _levelled(drawn),
         "views": [_view(drape, state, scales) for drape in state.drapes],
     }
 
@@ -112,6 +112,17 @@ def _group(label: str, names: Sequence[str], colours: NDArray[np.uint8], index: 
 def _parameter(key: str, values: NDArray[np.float64]) -> dict[str, Any]:
     label, factor = shown_as(key)
     return {"label": label, "log": key != "specular_fraction", "values": _base64((values * factor).astype("<f4"))}
+
+
+def _levelled(drawn: Drawn) -> list[dict[str, Any]]:
+    if not drawn.levels_db:
+        return []
+    every = np.stack(list(drawn.levels_db.values()))
+    ends = [float(every.min()), float(every.max())]
+    return [
+        {"label": label, "log": False, "values": _base64(values.astype("<f4")), "ends": ends}
+        for label, values in drawn.levels_db.items()
+    ]
 
 
 def _view(drape: Drape, state: State, scales: dict[str, ColourScale]) -> dict[str, Any]:

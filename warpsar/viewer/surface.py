@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import warp as wp
@@ -24,7 +24,8 @@ class Drawn:
 
     `corners` [m] are about the reference point, shape (n, 3), float32; `triangles` index them, shape (m, 3), uint32.
     `material` and `owner` are indices into `materials` and `owners`, shape (n,), and alike on the three corners of a
-    triangle. `parameters` hold surface parameters by key, SI, shape (n,).
+    triangle. `parameters` hold surface parameters by key, SI, shape (n,). `levels_db` hold what the triangles send
+    back, by the words that the page shows, shape (n,); all of them share one scale.
     """
 
     corners: NDArray[np.float32]
@@ -33,7 +34,8 @@ class Drawn:
     materials: tuple[str, ...]
     owner: NDArray[np.integer]
     owners: tuple[str, ...]
-    parameters: dict[str, NDArray[np.float64]]
+    parameters: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+    levels_db: dict[str, NDArray[np.float64]] = field(default_factory=dict)
 
 
 def drawn(scene: Scene) -> Drawn:

@@ -144,8 +144,8 @@ const states = data.states.map((state) => {
 });
 
 const ends = {}; // of the colours of a parameter: one scale for all states
-for (const { label, log } of states[0].parameters) {
-  let [low, high] = [Infinity, -Infinity];
+for (const { label, log, ends: given } of states[0].parameters) {
+  let [low, high] = given ?? [Infinity, -Infinity];
   for (const state of states) {
     for (const one of state.parameters.filter((each) => each.label === label)) {
       for (const value of one.values) [low, high] = [Math.min(low, value), Math.max(high, value)];
@@ -286,7 +286,9 @@ function options(select, names) {
 
 function quantities() {
   const images = [...new Set(state.views.flatMap((view) => Object.keys(view.images)))];
-  const surface = [...state.groups.map((one) => one.label), ...state.parameters.map((one) => one.label)];
+  const levels = state.parameters.filter((one) => one.ends); // of a page that is about them
+  const others = [...state.groups, ...state.parameters.filter((one) => !one.ends)];
+  const surface = [...levels, ...others].map((one) => one.label);
   return [...surface, ...(state.views.length ? [LIT] : []), ...images];
 }
 
@@ -381,7 +383,7 @@ function show() {
   }
   value.needsUpdate = true;
   byId("of-view").textContent = view
-    ? `${view.role}; azimuth ${number(view.azimuth_deg)}°, incidence ${number(view.incidence_deg)}°` : "";
+    ? `${view.role ? `${view.role}; ` : ""}azimuth ${number(view.azimuth_deg)}°, incidence ${number(view.incidence_deg)}°` : "";
   layArrows(state.views, view);
   showHelpers();
   draw();
