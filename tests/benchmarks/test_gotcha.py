@@ -1,5 +1,5 @@
 """The loops on measured data: their scenes, simple predictions and theory; and, with the data there, the short form of
-what docs/measured-gotcha.md says."""
+what docs/measured-record.md says."""
 
 import runpy
 from itertools import combinations
@@ -21,7 +21,7 @@ from warpsar.world.world import geometry_of
 
 pytestmark = pytest.mark.unit
 
-# docs/measured-gotcha.md
+# docs/measured-record.md
 OVER_GRASS_DB = {"car_park": -1.8, "road": -5.1, "west_strip": 2.3, "cars": 9.1, "targets": 13.3}
 
 
