@@ -23,7 +23,7 @@ import numpy as np
 import warp as wp
 
 from warpsar.compare.aim import EXPECTED
-from warpsar.compare.prediction import BOX, THEN, Advantage, PredictedImage, advantage, predicted
+from warpsar.compare.prediction import BOX, SURE, THEN, Advantage, PredictedImage, advantage, predicted
 from warpsar.diagnosis.held_out.arcs import by_azimuth, folds
 from warpsar.diagnosis.held_out.box import as_box
 from warpsar.diagnosis.held_out.geometry import (
@@ -532,13 +532,13 @@ class FoldSearch:
         self._say()
 
     def _beaten(self) -> bool:
-        """Whether the box that the model met predicts as well, and more than speckle is left. A body that is declared as
-        a box is its own rival, which says nothing before the end."""
+        """Whether the box that the model met predicts as well, and more than speckle is left. A body that is declared
+        as a box is its own rival, which says nothing before the end."""
         if self._met is None or self._met is self._rivals[BOX] or _is_speckle(self._met.scores / EXPECTED):
             return False
         models = {"model": self._met.scenes, BOX: self._rivals[BOX].scenes}
         lead = advantage(self._images(models), rivals=(BOX,))
-        return lead is not None and (lead.correlation <= lead.error or lead.deviance <= 0.0)
+        return lead is not None and lead.correlation <= SURE * lead.error and lead.deviance <= 0.0
 
     def _boxed(self) -> Model:
         """The rival that has every body as a box of its size. Bodies that are boxes are their own rivals."""
