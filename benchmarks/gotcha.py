@@ -458,8 +458,8 @@ STEPS = ("read off, one brightness", "+ brightness by object", "+ places", "+ si
 FINAL = STEPS[-1]
 ROUNDS = 2  # of either of the last steps
 BOUNCES = {"strength": 0.3, "max_bounces": 2, "reflection": "lobe"}
-"""Where the fit of bounces begins. They are no step: with them one train view foretells the other worse, at every step
-(benchmarks/gotcha_choice.py, `full` against `single`)."""
+"""Where the fit of bounces begins. They are no step: with them one train view foretells the other worse, at every
+step (docs/measured-record.md)."""
 
 
 def alike(scene: Scene) -> Scene:
@@ -819,7 +819,7 @@ def told_table(objects: list[dict[str, Any]]) -> str:
 
 
 def tables_of(content: dict[str, Any]) -> dict[str, str]:
-    """The tables of docs/measured-gotcha.md, and one for each further test view."""
+    """The tables of docs/measured-record.md, and one for each further test view."""
     return {
         "gotcha.reflectors": reflectors(content["impulse_response"]),
         "gotcha.widths": widths(content),

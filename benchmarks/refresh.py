@@ -33,7 +33,6 @@ MEASURES = {
     "experiments.in_domain": (*DEFAULT, "data/in_domain"),
     "experiments.fields": (*DEFAULT, "data/fields"),
     "gotcha": (*DEFAULT, "data/gotcha"),
-    "slicy": (*DEFAULT, "data/slicy"),
     "hostile": (*DEFAULT, "cli"),
     "forecast": (*DEFAULT, "cli", "data/example"),
     "startup": (*DEFAULT, "cli", "data/example"),

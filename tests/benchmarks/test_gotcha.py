@@ -1,5 +1,5 @@
 """The loops on measured data: their scenes, simple predictions and theory; and, with the data there, the short form of
-what docs/measured-gotcha.md says."""
+what docs/measured-record.md says."""
 
 import runpy
 from itertools import combinations
@@ -13,7 +13,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from warpsar.diagnosis.found import DiagnoseOptions
 from warpsar.evaluation.command import evaluate
 from warpsar.learning import command as learning
 from warpsar.learning.command import LearnOptions
@@ -22,7 +21,7 @@ from warpsar.world.world import geometry_of
 
 pytestmark = pytest.mark.unit
 
-# docs/measured-gotcha.md
+# docs/measured-record.md
 OVER_GRASS_DB = {"car_park": -1.8, "road": -5.1, "west_strip": 2.3, "cars": 9.1, "targets": 13.3}
 
 
@@ -234,28 +233,6 @@ def test_half_power_width_of_a_gaussian(loop: Any) -> None:
     assert loop.half_power_width(2.0 ** (-4.0 * (x / 1.1) ** 2), 0.05) == pytest.approx(1.1, rel=2e-3)
 
 
-def test_the_slicy_scene_lies_as_the_picture_says(tmp_path: Path) -> None:
-    make = runpy.run_path(str(ROOT / "data" / "slicy" / "make_scene.py"))
-    scene = Scene.load(make["write"](tmp_path))
-    assert not scene.warnings
-    (view,) = scene.views
-    geometry = geometry_of(scene, view)
-    drawn = np.concatenate(make["triangles"]()["metal"]).reshape(-1, 3)
-    used = np.unique(scene.mesh.faces[scene.mesh.face_material == scene.mesh.materials.index("metal")])
-    world = scene.mesh.vertices[used]
-    incidence = np.radians(view.incidence_deg)
-    expected = np.column_stack([-drawn[:, 0], drawn[:, 1] * np.sin(incidence) - drawn[:, 2] * np.cos(incidence)])
-    places = np.column_stack([world @ geometry.u, world @ geometry.d])
-
-    def distinct(points: np.ndarray) -> np.ndarray:
-        return np.unique(np.round(points, 2), axis=0)
-
-    # six digits in the file; a place between two roundings may fall either way
-    assert len(distinct(places)) == pytest.approx(len(distinct(expected)), abs=3)
-    nearest = np.linalg.norm(places[:, None] - expected, axis=2).min(axis=1)
-    assert nearest.max() < 1e-4
-
-
 def test_further_degrees_are_test_views(gotcha: Any, tmp_path: Path) -> None:
     for name in ("az001", "az003", "az017", "az004"):
         path = gotcha.source(tmp_path, name)
@@ -295,35 +272,3 @@ def test_reflectors_have_the_width_that_theory_gives_them(gotcha: Any, measured_
         assert one["range"]["width_m"] == pytest.approx(one["range"]["theory_m"], rel=0.04)
         for axis in ("range", "azimuth"):
             np.testing.assert_allclose(one[axis]["shares"], one[axis]["theory_shares"], atol=0.05)
-
-
-@pytest.mark.measured
-def test_slicy_chip_against_its_header(measured_data: Path) -> None:
-    slicy = benchmark("slicy")
-    chip, header = slicy.of_the_chip(measured_data), slicy.header(measured_data)
-    assert chip["taylor_width_m"] == pytest.approx(float(header["RangeResolution"]), rel=0.02)
-    for point in chip["points"]:  # real reflectors of some extent, beside each other
-        for axis in ("range", "azimuth"):
-            assert 0.98 < point[f"{axis}_width_m"] / chip["taylor_width_m"] < 1.25
-    for axis in chip["taper"].values():  # of the three tapers, the header's is nearest
-        assert min(("none", "taylor", "hann"), key=lambda w: abs(axis[w] - axis["edge_over_middle_db"])) == "taylor"
-    # a noise of -34 to -32 dB of the chip's own unit would be brighter than the shadow is
-    assert chip["shadow_db"] < -34.0
-
-
-@pytest.mark.measured
-def test_one_view_of_slicy_cannot_tell_its_resolution_from_detail(
-    loop: Any, measured_data: Path, tmp_path: Path
-) -> None:
-    """The header states a resolution. On a body of guessed shape detail explains as much, so both names are given and
-    something is left (docs/measured-record.md). Which of them comes first depends on how long the search is."""
-    slicy = benchmark("slicy")
-    path = slicy.prepare(measured_data, tmp_path / "scene", "cpu")
-    short = DiagnoseOptions(starts=0, draws=400, refits=1, most_effects=1)
-    found = loop.diagnosed(path, tmp_path / "diagnosed", short, "cpu")
-    assert [set(one) for one in found["alternatives"]] == [{"point_spread", "unresolved_detail"}]
-    assert found["unexplained"]
-    assert found["after"]["train"]["deviance"] < 0.85 * found["before"]["train"]["deviance"]
-    stated = float(slicy.header(measured_data)["RangeResolution"])
-    for width in loop.effect_widths(found).values():  # none where detail comes first
-        assert width["value_m"] == pytest.approx(stated, rel=0.2)

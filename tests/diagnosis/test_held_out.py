@@ -16,7 +16,7 @@ from warpsar.diagnosis.held_out.box import as_box
 from warpsar.diagnosis.held_out.geometry import TURNED, WIDE, likeliest, minimum, numbers, profiled
 from warpsar.diagnosis.held_out.kept import scene_content, scene_of
 from warpsar.diagnosis.held_out.report import judgement, sentence
-from warpsar.diagnosis.held_out.search import GEOMETRY, RIVALS, FoldSearch, HeldOut, TrialStep, held_out
+from warpsar.diagnosis.held_out.search import BEATEN, GEOMETRY, RIVALS, FoldSearch, HeldOut, TrialStep, held_out
 from warpsar.diagnosis.run_log import RunLog, open_run_log
 from warpsar.errors import InputError
 from warpsar.measured.chips import import_chips
@@ -261,10 +261,12 @@ def test_a_mesh_that_says_no_more_than_a_box_is_not_this_body(tmp_path: Path) ->
     ahead = {}
     for name in ("truck", "box"):
         search = of_a_truck(tmp_path, name)
-        model, boxed = search._model, search._boxed()
-        lead = advantage(search._images({"model": model.scenes, "box": boxed.scenes}), rivals=("box",))
+        search._meet_box()
+        models = {"model": search._model.scenes, "box": search._rivals["box"].scenes}
+        lead = advantage(search._images(models), rivals=("box",))
         assert lead is not None
         ahead[name] = lead.ahead
+        assert search._beaten() is (name == "box")
     assert ahead["truck"]
     assert not ahead["box"]
 
@@ -321,6 +323,8 @@ def test_no_lead_is_claimed_before_a_box_was_met() -> None:
     beaten = held({"model": (0.9, 1.3), **PICTURE, "box": (0.9, 1.3)}, 1.3)
     assert not beaten.ahead
     assert sentence(beaten).endswith("not this body")
+    beaten.ended = BEATEN
+    assert "the search ended early, for a box of its size predicts as well" in sentence(beaten)
 
     better = held({"model": (0.9, 1.3), **PICTURE, "box": (0.8, 1.4)}, 1.3)
     assert better.ahead

@@ -1,12 +1,16 @@
 """From a measured file to an image on the view's grid, declared in the scene file."""
 
+import shutil
 import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import ROOT
 from measured_files import C, Pass, echoes, write_cphd, write_mat, write_phoenix, write_sicd
 
+from warpsar.diagnosis.command import run as diagnose
+from warpsar.diagnosis.found import DiagnoseOptions
 from warpsar.errors import InputError
 from warpsar.io.images import read_channel, write_exr
 from warpsar.measured.ground import mesh_points, pixel_centres, plane_points
@@ -466,6 +470,23 @@ def test_slicy_chip_is_itself_on_its_own_grid(measured_data: Path, tmp_path: Pat
     np.testing.assert_allclose(done.power, magnitude[::-1].astype(float) ** 2, rtol=1e-5)  # radar at the bottom
     view = Scene.load(path).views[0]
     assert (view.azimuth_deg, view.incidence_deg) == pytest.approx((162.952, 74.957), abs=1e-3)
+
+
+@pytest.mark.measured
+@pytest.mark.full
+def test_one_view_of_slicy_does_not_establish_its_detail(measured_data: Path, tmp_path: Path) -> None:
+    """On bodies of guessed shape detail explains most, and a point spread, which the header states, nearly as much: the
+    name is not established, and something is left (examples/measured/slicy). Which comes first depends on the search.
+    """
+    path = tmp_path / "scene.toml"
+    shutil.copyfile(ROOT / "examples" / "measured" / "slicy" / "scene.toml", path)
+    import_measured([measured_data / "slicy" / "HB14931.015"], path, "hb14931")
+    short = DiagnoseOptions(starts=0, draws=400, refits=1, most_effects=1)
+    found = diagnose(path, tmp_path / "d", device="cpu", options=short)
+    assert found["unexplained"]
+    assert not found["verdict"]
+    assert set(found["not_established"]) in ({"unresolved_detail"}, {"point_spread"})
+    assert found["after"]["train"]["deviance"] < 0.85 * found["before"]["train"]["deviance"]
 
 
 @pytest.mark.measured

@@ -68,6 +68,7 @@ def content_of(found: HeldOut) -> dict[str, Any]:
         "lead_of_box": _advantage_content(found.of_box),
         "fronts": {label: {**asdict(step), "words": front_words(label, step)} for label, step in found.fronts.items()},
         "not_asked": found.not_asked,
+        "ended": found.ended,
         "folds": found.folds,
         "steps": [asdict(step) for step in found.steps],
         "profiles": {name: asdict(profile) for name, profile in found.profiles.items()},

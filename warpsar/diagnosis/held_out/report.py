@@ -33,6 +33,8 @@ def sentence(found: HeldOut) -> str:
     said = f"found: {names}; deviance of views left out {before:.3f} -> {after:.3f}"
     if found.not_asked:
         said += "; the time was over before all was asked"
+    if found.ended:
+        said += f"; the search ended early, for {found.ended}"
     fronts = [front_words(label, step) for label, step in found.fronts.items() if not _is_known(step)]
     return "; ".join([said, *([_of_body(found)] if found.advantages else []), *fronts])
 
@@ -107,6 +109,7 @@ def _in_short(found: HeldOut) -> str:
         "predicts no better has told nothing of itself. Turned round, the body is fitted anew in the same way."
     ]
     said += [f"The time was over; not asked: {one}." for one in found.not_asked]
+    said += [f"The search ended before every effect was asked, for {found.ended}."] if found.ended else []
     said += [f"{words[0].upper()}{words[1:]}.".replace("+-", "±") for words in judgement(found)]
     return report.section("In short", *map(report.paragraph, said), prediction_table(summaries(found.images)))
 

@@ -8,7 +8,7 @@ standard errors, for what came early may only have stood in for what came later.
 
 A body meets its rivals before any lead is claimed: itself turned round, and a box of its size, each fitted in the same
 way. They are asked once its sizes were first moved, and at the end once more, so that a run of little time has an
-answer.
+answer. Where the box predicts as well at the first time, the search ends: no effect makes a body of another one.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ import numpy as np
 import warp as wp
 
 from warpsar.compare.aim import EXPECTED
-from warpsar.compare.prediction import BOX, THEN, Advantage, PredictedImage, advantage, predicted
+from warpsar.compare.prediction import BOX, SURE, THEN, Advantage, PredictedImage, advantage, predicted
 from warpsar.diagnosis.held_out.arcs import by_azimuth, folds
 from warpsar.diagnosis.held_out.box import as_box
 from warpsar.diagnosis.held_out.geometry import (
@@ -63,6 +63,7 @@ CERTAIN = 4.0  # standard errors from which on it is not asked again
 EXPLAINED = 2.0  # standard errors above the deviance of speckle, within which nothing else is left
 BOXED = "a box of its size"
 RIVALS = "whether the body turned round, or a box of its size, predicts as well"
+BEATEN = "a box of its size predicts as well"
 
 
 @dataclass(frozen=True)
@@ -118,7 +119,7 @@ class HeldOut:
     train views. `folds` have the names of the views left out together. `before` and `after`: deviances of the views
     left out, by name, in order of azimuth. `images`: the views left out beside all that predicts them. `rivals`:
     whether there are bodies, which meet a box of their size. `fronts`: by body, its trial against itself turned round.
-    `not_asked`: what a limit of time left out."""
+    `not_asked`: what a limit of time left out. `ended`: why the search ended before every effect was asked."""
 
     scene: Scene
     declared: Scene
@@ -133,6 +134,7 @@ class HeldOut:
     fronts: dict[str, TrialStep] = field(default_factory=dict)
     held: list[str] = field(default_factory=list)
     not_asked: list[str] = field(default_factory=list)
+    ended: str = ""
 
     @property
     def of_pictures(self) -> Advantage | None:
@@ -157,8 +159,7 @@ class HeldOut:
     @property
     def explained(self) -> bool:
         """Whether the views left out have nothing but speckle left. A box may then be what the body is."""
-        mean, error = _mean_and_error(np.array(list(self.after.values())))
-        return mean <= 1.0 + EXPLAINED * error
+        return _is_speckle(np.array(list(self.after.values())))
 
     @property
     def ahead(self) -> bool:
@@ -187,6 +188,7 @@ class FoldSearch:
         self._fronts: dict[str, TrialStep] = {}
         self._doing = ""
         self.not_asked: list[str] = []  # what a limit of time left out, in words
+        self.ended = ""  # why, before every effect was asked
         self.trained, self.device, self._progress = TrainViews(scene, device), device, progress
         self.fits = FitRays(device)
         self.start = self.trained.scene
@@ -232,6 +234,7 @@ class FoldSearch:
             fronts=self._fronts,
             held=list(dict.fromkeys(self.held)),
             not_asked=self.not_asked,
+            ended=self.ended,
         )
 
     def _search(self) -> None:
@@ -249,6 +252,10 @@ class FoldSearch:
                 self._ask_fronts()
                 if self._met is None:
                     self._meet_box()
+                    if self._beaten():
+                        self.ended = BEATEN
+                        console.say(f"the search ends: {BEATEN}")
+                        return
         if pending:
             self._geometry(offsets)
             self._ask_fronts()
@@ -524,6 +531,15 @@ class FoldSearch:
         self.steps.append(TrialStep(BOXED, gain / EXPECTED, error / EXPECTED, 0.0, False))
         self._say()
 
+    def _beaten(self) -> bool:
+        """Whether the box that the model met predicts as well, and more than speckle is left. A body that is declared
+        as a box is its own rival, which says nothing before the end."""
+        if self._met is None or self._met is self._rivals[BOX] or _is_speckle(self._met.scores / EXPECTED):
+            return False
+        models = {"model": self._met.scenes, BOX: self._rivals[BOX].scenes}
+        lead = advantage(self._images(models), rivals=(BOX,))
+        return lead is not None and lead.correlation <= SURE * lead.error and lead.deviance <= 0.0
+
     def _boxed(self) -> Model:
         """The rival that has every body as a box of its size. Bodies that are boxes are their own rivals."""
         if all(one.primitive == "box" for one in self.start.objects if one.label in self.bodies):
@@ -560,6 +576,11 @@ class FoldSearch:
 
 def _mean_score(model: Model) -> float:
     return float(model.scores.mean())
+
+
+def _is_speckle(deviances: np.ndarray) -> bool:
+    mean, error = _mean_and_error(deviances)
+    return mean <= 1.0 + EXPLAINED * error
 
 
 def _mean_and_error(gain: np.ndarray) -> tuple[float, float]:
