@@ -219,7 +219,8 @@ def path_kernel(
 ):
     """One thread walks `segment` cells in the column of one azimuth cell, a ray each.
 
-    `cut`: cells of the band, (azimuth, elevation), that are left to `border_kernel`; none without any.
+    `cut`: cells of the band, (azimuth, elevation), that are left to `border_kernel`; rays then start in the middle of
+    the others, which lie inside of bodies. None without any.
     """
     i, j = wp.tid()
     grid = rays.grid
@@ -230,7 +231,9 @@ def path_kernel(
         if cut.shape[0] > 0:
             if cut[i, k] > wp.uint8(0):
                 continue
-        jitter = jitter_of(grid, band.seed, cell, k)
+        jitter = wp.vec2()
+        if cut.shape[0] == 0:
+            jitter = jitter_of(grid, band.seed, cell, k)
         centre_v = grid.elevation_start + (float(k) + 0.5) * grid.elevation_step
         tube = wp.vec4(centre_u, centre_v, 1.0, 1.0)
         follow(rays, azimuth_of(grid, cell, jitter), elevation_of(grid, k, jitter), tube, wp.vec3(), True, records_out)

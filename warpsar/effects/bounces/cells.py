@@ -25,7 +25,7 @@ _WEAK = 1e-4
 _WEAKEST = 1e-8
 """The same, of the view's strongest."""
 _LEAST_FALL = 0.02
-"""Share of a sample's power below which a bin gets nothing of it."""
+"""Share of a sample's power below which a bin gets less, and nothing below half of it."""
 _ONE_PHASE = 1.5
 """Power of an even field without a taper, over what as many bins as have its power would add up to: 2/3 in truth."""
 _ROUNDING = 1e-3
@@ -33,10 +33,6 @@ _ROUNDING = 1e-3
 
 _BRIGHT = 1e-3
 """Power of a sample, over that of the brightest, from which on its accuracy counts."""
-_SEEN = 0.05
-"""The same as beta0 of mirrors: two surfaces that are no metal send some 20 dB less, and so less than ground."""
-_ACCURACY = 0.04
-"""Of a bright sample's power: where tubes are too few for it, those at borders are cut."""
 _ERROR_OF_ONE = 1.26
 """Relative error of the power of a sample to which one tube sends."""
 _EDGE = 0.03
@@ -297,23 +293,19 @@ class Borders:
     along: NDArray[np.int64]
 
 
-def borders_of(fields: SharedFields, planes: NDArray[np.int64], pixel_area_m2: float) -> Borders:
-    """Cells of samples with too few tubes, where neighbours meet other surfaces; these neighbours too.
+def borders_of(fields: SharedFields, planes: NDArray[np.int64]) -> Borders:
+    """Cells of tubes where neighbours meet other surfaces; these neighbours too.
 
     A tube inside of a body is exact, however wide: its phase is linear. One at a border is in or out by chance.
     `planes` numbers the planes of faces, from 1 on.
     """
-    error, bright = (of_group[fields.owner] for of_group in errors_of(fields, pixel_area_m2))
+    error, bright = (of_group[fields.owner] for of_group in errors_of(fields))
     cell = fields.cell
-    wanted = error > _ACCURACY
-    if not wanted.any():
-        return Borders(np.zeros((0, 2), np.int64), np.zeros(0), np.zeros(0, bool), np.zeros(0, np.int64))
     _, met = np.unique(np.append(0, planes)[fields.records["faces"]], axis=0, return_inverse=True)
     of = met.reshape(-1)[fields.owner] + 1
     start = cell.min(axis=0) - 2
     surfaces = np.zeros(np.ptp(cell, axis=0) + 5, np.int64)
     surfaces[tuple((cell - start).T)] = of
-    cell, of, error, bright = cell[wanted], of[wanted], error[wanted], bright[wanted]
     found = []
     for step in product((-1, 0, 1), repeat=2):
         beside = cell + step
@@ -325,9 +317,9 @@ def borders_of(fields: SharedFields, planes: NDArray[np.int64], pixel_area_m2: f
     return Borders(at, error, bright, np.asarray(along))
 
 
-def errors_of(fields: SharedFields, pixel_area_m2: float) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Relative error of the power of the samples to which each group of tubes sends, (n,), by their number; 0 where
-    these are too dark to be seen. And whether such a sample is among the view's brightest.
+def errors_of(fields: SharedFields) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Relative error of the power of the samples to which each group of tubes sends, (n,), by their number. And whether
+    such a sample is among the view's brightest.
 
     Of n tubes, those at the border of a body are in or out by chance: 4 sqrt(n) of them, each with a variance of about
     0.1 of its square. The sum of their fields may be much smaller than they are, as off the flash of a long face.
@@ -337,11 +329,10 @@ def errors_of(fields: SharedFields, pixel_area_m2: float) -> tuple[NDArray[np.fl
     size = np.abs(field).astype(float)
     power = np.bincount(sample, field.real) ** 2 + np.bincount(sample, field.imag) ** 2
     squares = np.bincount(sample, loose)
-    tubes = np.bincount(sample, np.sqrt(loose * fields.tubes[group])) ** 2 / np.maximum(squares, np.finfo(float).tiny)
+    least = np.finfo(float).tiny
+    tubes = np.bincount(sample, np.sqrt(loose * fields.tubes[group])) ** 2 / np.maximum(squares, least)
     bright = power > _BRIGHT * power.max(initial=0.0)
-    seen = bright | (4.0 * np.pi * power > _SEEN * pixel_area_m2)
-    relative = np.sqrt(squares / np.where(seen, power, 1.0)) * np.maximum(tubes, 1.0) ** -0.25
-    error = np.where(seen, _ERROR_OF_ONE * relative, 0.0)
+    error = _ERROR_OF_ONE * np.sqrt(squares / np.maximum(power, least)) * np.maximum(tubes, 1.0) ** -0.25
     strongest, worst, among = (np.zeros(fields.tubes.size) for _ in range(3))
     np.maximum.at(strongest, group, size)
     mine = size**2 >= 0.1 * strongest[group] ** 2
@@ -394,9 +385,8 @@ def _falls(
     share = np.bincount(inverse, falls[falls > 0.0]).astype(float)
     owner, bin_ = np.divmod(keys, across)
     count = int(of_path.max(initial=-1)) + 1
-    for _ in range(2):  # the small ones go, and the others take their place
-        share = share / np.bincount(owner, share, count)[owner]
-        much = share >= _LEAST_FALL
-        much |= share >= np.maximum.reduceat(share, np.searchsorted(owner, np.arange(count)))[owner]
-        owner, bin_, share = owner[much], bin_[much], share[much]
+    share = share / np.bincount(owner, share, count)[owner]
+    least = np.minimum(np.maximum.reduceat(share, np.searchsorted(owner, np.arange(count))), _LEAST_FALL)
+    share = share * np.clip(2.0 * share / least[owner] - 1.0, 0.0, 1.0)  # small ones go, without a step
+    owner, bin_, share = owner[share > 0.0], bin_[share > 0.0], share[share > 0.0]
     return owner, bin_, share / np.bincount(owner, share, count)[owner]

@@ -125,7 +125,7 @@ def trace_paths(render: Recorder, max_bounces: int, cell_m: tuple[float, float] 
     if cell_m is not None:
         shared = _shared(traced_bands, max_bounces, grid, cell_m)
         mirrors = _mirrors(render)
-        cuts, error = _cuts(shared, planes, area, rays, bands)
+        cuts, error = _cuts(shared, planes, rays, bands)
         if cuts:
             again = [partial(_band, render, followed, cells, bands[at], cut) for at, cut in cuts.items()]
             finer = dict(zip(cuts, threads.ordered(again, target.device), strict=True))
@@ -218,38 +218,36 @@ def _remarks(traced: Sequence[_Traced], max_bounces: int, error: float) -> list[
 
 
 def _cuts(
-    shared: Sequence[SharedFields | None], planes: NDArray[np.int64], area: float, rays: RayGrid, bands: Sequence[Any]
+    shared: Sequence[SharedFields | None], planes: NDArray[np.int64], rays: RayGrid, bands: Sequence[Any]
 ) -> tuple[dict[int, NDArray[np.int32]], float]:
     """The bands that have cells to cut, each with those of `kernels.border_kernel`, (n, 4).
 
     All cuts together send at most as many rays again: the view's brightest samples come first. And the largest
     relative error of the power of one of these that is left.
     """
-    found = [borders_of(fields, planes, area) for fields in shared if fields is not None]
+    found = [borders_of(fields, planes) for fields in shared if fields is not None]
     if not any(len(one.cell) for one in found):
         return {}, 0.0
     size = rays.end_cell - rays.first_cell, rays.elevation_cells
-    strips, along, worst = np.zeros(size, int), np.zeros(size, int), np.zeros(size)
-    budget = max(size[0] * size[1], _LEAST_BUDGET) // _RAYS_OF_STRIP
-    for first in (True, False):
-        new = np.zeros(size, bool)
-        for one in found:
-            at = one.cell - (rays.first_cell, 0)
-            inside = ((at >= 0) & (at < size)).all(axis=1) & (one.bright == first)
-            place = tuple(at[inside].T)
-            new[place] = True
-            along[place] += one.along[inside]
-            if first:
-                np.maximum.at(worst, place, one.error[inside])
-        new &= strips == 0
-        count = int(new.sum())
-        strips[new] = min(_STRIPS, budget // max(count, 1))
-        budget -= int(strips[new].sum())
-    cells = np.argwhere(strips > 0)
-    chosen = np.column_stack([cells, along[strips > 0] < 0, strips[strips > 0]]) + (rays.first_cell, 0, 0, 0)
+    cell, error, bright, along = (
+        np.concatenate([getattr(one, name) for one in found]) for name in ("cell", "error", "bright", "along")
+    )
+    cell = cell - (rays.first_cell, 0)
+    inside = ((cell >= 0) & (cell < size)).all(axis=1)
+    cell, number = np.unique(cell[inside], axis=0, return_inverse=True)
+    number = number.reshape(-1)
+    worst, among = np.zeros(len(cell)), np.zeros(len(cell))
+    np.maximum.at(worst, number, error[inside])
+    np.maximum.at(among, number, bright[inside])
+    lean = np.bincount(number, along[inside], len(cell))
+    count = max(size[0] * size[1], _LEAST_BUDGET) // (_RAYS_OF_STRIP * _STRIPS)
+    order = np.lexsort((-worst, -among))
+    left = float((worst * among)[order[count:]].max(initial=0.0))
+    order = np.sort(order[:count])
+    strips = np.full(len(order), _STRIPS)
+    chosen = np.column_stack([cell[order] + (rays.first_cell, 0), lean[order] < 0, strips]).astype(np.int32)
     owner = np.searchsorted([band.end_cell for band in bands], chosen[:, 0], side="right")
-    left = np.where(strips > 0, worst * np.maximum(strips, 1) ** -1.5, worst)
-    return {int(at): chosen[owner == at].astype(np.int32) for at in np.unique(owner)}, float(left.max(initial=0.0))
+    return {int(at): np.ascontiguousarray(chosen[owner == at]) for at in np.unique(owner)}, left
 
 
 def _band_width(rays: RayGrid, max_bounces: int, device: wp.Device) -> int:
