@@ -46,7 +46,9 @@ class PathRecords:
     weight: wp.array(dtype=float)  # dA_perp / pixel area
     point: wp.array(dtype=wp.vec3)  # where one bounce would have the same range, azimuth and mean elevation
     ray: wp.array(dtype=wp.vec4)  # azimuth and elevation of the middle of the ray's tube; its sides, in grid cells
-    ends: wp.array(dtype=wp.vec3)  # the axis of its strip, and how far its ends are farther along at the strip's far side
+    ends: wp.array(
+        dtype=wp.vec3
+    )  # the axis of its strip, and how far its ends are farther along at the strip's far side
     count: wp.array(dtype=int)
     area: wp.array(
         dtype=float
@@ -127,11 +129,12 @@ def follow(
     written: bool,
     records: PathRecords,
 ) -> wp.uint64:
-    """Walk the ray at a place. Every surface but the last is a mirror. Returns a number for the planes that it meets, in
-    their order, and from which of them it returns.
+    """Walk the ray at a place. Every surface but the last is a mirror. Returns a number for the planes that it meets,
+    in their order, and from which of them it returns.
 
-    `tube` and `ends` of the part of the rays' plane that the ray stands for, as in `PathRecords`; its returns are `written` to the records. A BVH query starts just off the surface, so that it does not find the same
-    surface again. The point that the ray meets is then computed from the surface itself.
+    `tube` and `ends` are of the part of the rays' plane that the ray stands for, as in `PathRecords`; its returns are
+    `written` to the records. A BVH query starts just off the surface, so that it does not find the same surface again.
+    The point that the ray meets is then computed from the surface itself.
     """
     grid = rays.grid
     mesh = rays.mesh
@@ -241,7 +244,7 @@ def path_kernel(
 
 @wp.struct
 class Line:
-    """A line across a cell: where what rays meet changes on it, from -0.5 to 0.5, `count` times, and the marks there."""
+    """A line across a cell: `count` places where what rays meet changes, from -0.5 to 0.5, and the marks of rays."""
 
     count: int
     at: wp.vec2
@@ -324,8 +327,9 @@ def border_kernel(
     """A border of bodies crosses each `cell`: azimuth, elevation, the axis along which it is cut into strips, and how
     many these are.
 
-    The parts of a strip end where the rays in it begin to meet other planes, on both of its long sides: so they have the
-    area and the phase of what they stand for. Rays at random places would leave the sum of fields that cancel to chance.
+    The parts of a strip end where the rays in it begin to meet other planes, on both of its long sides: they have the
+    area and the phase of what they stand for. Rays at random places would leave to chance what fields that cancel add
+    up to.
     """
     i, j = wp.tid()
     one = cell[i]

@@ -237,12 +237,8 @@ def tube_kernel(
     by_along = wp.vec2d(ZERO, tilted(at[0]) * sinc(at[1]))
     by_across = wp.vec2d(ZERO, sinc(at[0]) * tilted(at[1]))
     if begin != ZERO or end != ZERO:  # moments are slopes of the field, over 2j
-        by_along = moment_of(
-            slanted(at[0] + STEP, at[1], begin, end) - slanted(at[0] - STEP, at[1], begin, end)
-        )
-        by_across = moment_of(
-            slanted(at[0], at[1] + STEP, begin, end) - slanted(at[0], at[1] - STEP, begin, end)
-        )
+        by_along = moment_of(slanted(at[0] + STEP, at[1], begin, end) - slanted(at[0] - STEP, at[1], begin, end))
+        by_across = moment_of(slanted(at[0], at[1] + STEP, begin, end) - slanted(at[0], at[1] - STEP, begin, end))
     by_u = by_along
     by_v = by_across
     if records.ends[i][0] > 0.5:

@@ -524,12 +524,12 @@ def test_groups_of_tubes_without_a_field() -> None:
             "point": np.zeros((3, 3), np.float32),
         }
         part = cells.Coupled(records, field, loose, np.array([[k, 0] for k in range(9)]), np.array([0, 3, 6]))
-        borders = cells.borders_of(cells.share([part], grid, (0.5, 0.5)), np.array([1, 2]), 0.25)
+        borders = cells.borders_of(cells.share([part], grid, (0.5, 0.5)), np.array([1, 2]))
         lit = int(np.count_nonzero(np.array(strengths) == 1.0))
         # its cells are a row: they, and those beside them that meet nothing; the other groups are of the same planes
         beside = [(x, y) for x in range(-1, 4) for y in (-1, 1)] + [(x, 0) for x in range(-1, 3)]
         assert {tuple(one) for one in borders.cell.tolist()} == (set(beside) if lit else set())
-        assert (borders.split == 6).all()  # (1.26 * 3 ** -0.75 / 0.04) ** (2 / 3) is 5.7
+        assert borders.error == pytest.approx(1.26 * 3**-0.75)
         made, samples = cells.samples_of(
             cells.share([part], grid, (0.5, 0.5)), np.array([1, 2]), np.ones(2), 4, 0.25, wp.get_device("cpu")
         )

@@ -300,12 +300,15 @@ def borders_of(fields: SharedFields, planes: NDArray[np.int64]) -> Borders:
     `planes` numbers the planes of faces, from 1 on.
     """
     error, bright = (of_group[fields.owner] for of_group in errors_of(fields))
-    cell = fields.cell
+    cell, wanted = fields.cell, error > 0.0  # other groups send nothing
+    if not wanted.any():
+        return Borders(np.zeros((0, 2), np.int64), np.zeros(0), np.zeros(0, bool), np.zeros(0, np.int64))
     _, met = np.unique(np.append(0, planes)[fields.records["faces"]], axis=0, return_inverse=True)
     of = met.reshape(-1)[fields.owner] + 1
     start = cell.min(axis=0) - 2
     surfaces = np.zeros(np.ptp(cell, axis=0) + 5, np.int64)
     surfaces[tuple((cell - start).T)] = of
+    cell, of, error, bright = cell[wanted], of[wanted], error[wanted], bright[wanted]
     found = []
     for step in product((-1, 0, 1), repeat=2):
         beside = cell + step

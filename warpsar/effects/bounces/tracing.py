@@ -294,7 +294,7 @@ def _followed(render: Recorder, rays: RayGrid, planes: NDArray[np.int64], max_bo
 
 
 def _band(render: Recorder, followed: Any, cells: Any, band: Any, cut: NDArray[np.int32] | None = None) -> _Traced:
-    """Paths of a band of azimuth cells, merged, by number of bounces. `cut`: cells of `kernels.border_kernel`, (n, 4)."""
+    """Paths of a band of azimuth cells, merged, by number of bounces. `cut`: `kernels.border_kernel`'s cells, (n, 4)."""
     device, rays, max_bounces = render.stage.target.device, followed.grid, followed.max_bounces
     segment = rays.elevation_cells if device.is_cpu else _SEGMENT
     dim = (band.end_cell - band.first_cell, -(-rays.elevation_cells // segment))
@@ -308,11 +308,15 @@ def _band(render: Recorder, followed: Any, cells: Any, band: Any, cut: NDArray[n
     capacity = (max_bounces - 1) * sent if device.is_cpu else max(4096, sent // 4)
     while True:
         records = _records(capacity, device)
-        wp.launch(kernels.path_kernel, dim, inputs=[followed, band, left_out, segment], outputs=[records], device=device)
+        wp.launch(
+            kernels.path_kernel, dim, inputs=[followed, band, left_out, segment], outputs=[records], device=device
+        )
         if cut is not None:
             at = wp.array(cut, dtype=wp.vec4i, device=device)
             strips = int(cut[:, 3].max())
-            wp.launch(kernels.border_kernel, (len(cut), strips), inputs=[followed, at], outputs=[records], device=device)
+            wp.launch(
+                kernels.border_kernel, (len(cut), strips), inputs=[followed, at], outputs=[records], device=device
+            )
         count = int(records.count.numpy()[0])
         if count <= capacity:
             couples = partial(_coupled, render, rays, cells, cut is None)
