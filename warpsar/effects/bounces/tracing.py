@@ -294,7 +294,7 @@ def _followed(render: Recorder, rays: RayGrid, planes: NDArray[np.int64], max_bo
 
 
 def _band(render: Recorder, followed: Any, cells: Any, band: Any, cut: NDArray[np.int32] | None = None) -> _Traced:
-    """Paths of a band of azimuth cells, merged, by number of bounces. `cut`: `kernels.border_kernel`'s cells, (n, 4)."""
+    """Paths of a band of azimuth cells, merged, by number of bounces. `cut`: cells of `border_kernel`, (n, 4)."""
     device, rays, max_bounces = render.stage.target.device, followed.grid, followed.max_bounces
     segment = rays.elevation_cells if device.is_cpu else _SEGMENT
     dim = (band.end_cell - band.first_cell, -(-rays.elevation_cells // segment))
