@@ -7,7 +7,10 @@ from warpsar.kernels.geometry import (
     Band,
     RayGrid,
     Triangles,
+    azimuth_of,
+    elevation_of,
     intersect,
+    jitter_of,
     look_direction,
     ray_direction,
     ray_origin,
@@ -21,6 +24,11 @@ EDGE = wp.constant(1.0e-3)
 
 # Slope variance that even a smooth surface has: it keeps the lobe of a mirror wide enough for a mesh's facets.
 LEAST_SLOPE_VARIANCE = wp.constant(1.0e-4)
+
+HALVINGS = wp.constant(12)
+"""Of half a cell's side: a hundredth of a radian where the phase turns by ten circles in a cell."""
+PRIME = wp.constant(wp.uint64(1099511628211))
+"""Of the hash FNV-1a."""
 
 
 @wp.struct
@@ -37,7 +45,10 @@ class PathRecords:
     third: wp.array(dtype=wp.vec4)
     weight: wp.array(dtype=float)  # dA_perp / pixel area
     point: wp.array(dtype=wp.vec3)  # where one bounce would have the same range, azimuth and mean elevation
-    ray: wp.array(dtype=wp.vec3)  # azimuth and elevation of the middle of the ray's cell; its side, in grid cells
+    ray: wp.array(dtype=wp.vec4)  # azimuth and elevation of the middle of the ray's tube; its sides, in grid cells
+    ends: wp.array(
+        dtype=wp.vec3
+    )  # the axis of its strip, and how far its ends are farther along at the strip's far side
     count: wp.array(dtype=int)
     area: wp.array(
         dtype=float
@@ -93,110 +104,269 @@ def apparent_point(grid: RayGrid, entry: wp.vec3, exit: wp.vec3, between: float)
     return along * grid.d + azimuth * grid.u + across * grid.v
 
 
-# Long because one thread walks its rays from entry to return: what is cut out would be handed twelve values and back.
+@wp.struct
+class PathRays:
+    """What rays of a view are followed with. `plane` numbers the planes of faces; `size` [m] is the mesh's: how far a
+    ray may go from one surface to the next."""
+
+    grid: RayGrid
+    mesh: Triangles
+    columns: ImageColumns
+    tree: wp.uint64
+    plane: wp.array(dtype=int)
+    max_bounces: int
+    size: float
+
+
+# Long because it walks a ray from entry to return: what is cut out would be handed twelve values and back.
+@wp.func
+def follow(
+    rays: PathRays,
+    azimuth: float,
+    elevation: float,
+    tube: wp.vec4,
+    ends: wp.vec3,
+    written: bool,
+    records: PathRecords,
+) -> wp.uint64:
+    """Walk the ray at a place. Every surface but the last is a mirror. Returns a number for the planes that it meets,
+    in their order, and from which of them it returns.
+
+    `tube` and `ends` are of the part of the rays' plane that the ray stands for, as in `PathRecords`; its returns are
+    `written` to the records. A BVH query starts just off the surface, so that it does not find the same surface again.
+    The point that the ray meets is then computed from the surface itself.
+    """
+    grid = rays.grid
+    mesh = rays.mesh
+    clear = 1.0e-5 * rays.size
+    origin = ray_origin(grid, azimuth, elevation)
+    direction = ray_direction(grid, elevation)
+    weight = tube[2] * tube[3] * grid.azimuth_step * grid.elevation_step / grid.pixel_area
+    met = wp.vec4i(0, 0, 0, 0)
+    second = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    third = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    entry = wp.vec3(0.0, 0.0, 0.0)
+    before = wp.vec3(0.0, 0.0, 0.0)
+    side = wp.vec3(0.0, 0.0, 0.0)
+    between = float(0.0)
+    reach = grid.reach
+    mark = wp.uint64(0)
+    for bounce in range(rays.max_bounces):
+        query = wp.mesh_query_ray(rays.tree, origin + clear * side, direction, reach)
+        if not query.result:
+            break
+        p0 = mesh.vertices[mesh.faces[query.face, 0]]
+        p1 = mesh.vertices[mesh.faces[query.face, 1]]
+        p2 = mesh.vertices[mesh.faces[query.face, 2]]
+        hit = intersect(origin, direction, p0, p1, p2)
+        slope = wp.dot(hit.normal, direction)
+        if wp.abs(slope) < 1.0e-6:
+            break
+        point = p0 + hit.b1 * (p1 - p0) + hit.b2 * (p2 - p0)
+        side = -wp.sign(slope) * hit.normal  # the one the ray is on
+        met[bounce] = query.face + 1
+        second[bounce] = hit.b1
+        third[bounce] = hit.b2
+        home = -look_direction(grid, point)
+        returned = int(0)
+        if bounce == 0:
+            entry = point
+            if grid.slant_range > 0.0:
+                weight = weight * (slant_range_of(grid, point) + grid.slant_range)
+        else:
+            between += wp.length(point - before)
+            if wp.dot(side, home) > 0.0:
+                # the bin first: a ray back to the radar costs more
+                seen = apparent_point(grid, entry, point, between)
+                row = int(wp.floor((slant_range_of(grid, seen) - grid.range_start) / grid.range_spacing - EDGE))
+                col = int(wp.floor((wp.dot(seen, grid.u) - rays.columns.start) / rays.columns.spacing))
+                if row >= 0 and row < grid.rows and col >= 0 and col < rays.columns.count:
+                    back = wp.mesh_query_ray(rays.tree, point + clear * side, home, rays.size)
+                    if not back.result:
+                        returned = int(1)
+                if returned == 1 and written:
+                    slot = wp.atomic_add(records.count, 0, 1)
+                    if slot < records.bin.shape[0]:
+                        records.bin[slot] = row * rays.columns.count + col
+                        records.bounces[slot] = bounce + 1
+                        records.faces[slot] = met
+                        records.second[slot] = second
+                        records.third[slot] = third
+                        records.weight[slot] = weight
+                        records.point[slot] = seen
+                        records.ray[slot] = tube
+                        records.ends[slot] = ends
+        mark = (mark ^ wp.uint64(2 * rays.plane[query.face] + returned)) * PRIME
+        before = point
+        direction = direction - 2.0 * slope * hit.normal
+        origin = point
+        reach = rays.size
+        if bounce == 1 and written:
+            wp.atomic_add(records.area, 0, weight)
+        if bounce == rays.max_bounces - 1 and written:
+            further = wp.mesh_query_ray(rays.tree, origin + clear * side, direction, reach)
+            if further.result:
+                wp.atomic_add(records.area, 1, weight)
+    return mark
+
+
 @wp.kernel(enable_backward=False)
 def path_kernel(
     # In:
-    grid: RayGrid,
-    mesh: Triangles,
+    rays: PathRays,
     band: Band,
-    columns: ImageColumns,
-    split: wp.array2d(dtype=wp.uint8),
-    tree: wp.uint64,
+    cut: wp.array2d(dtype=wp.uint8),
     segment: int,
-    max_bounces: int,
-    size: float,  # of the mesh: how far a ray may go from one surface to the next [m]
     # Out:
     records_out: PathRecords,
 ):
-    """One thread walks `segment` cells in the column of one azimuth cell. Every surface but the last is a mirror.
+    """One thread walks `segment` cells in the column of one azimuth cell, a ray each.
 
-    A BVH query starts just off the surface, so that it does not find the same surface again. The point that the ray
-    meets is then computed from the surface itself. `split`: into how many parts along each side a cell of the band is
-    cut, (azimuth, elevation); whole cells without any.
+    `cut`: cells of the band, (azimuth, elevation), that are left to `border_kernel`; rays then start in the middle of
+    the others, which lie inside of bodies. None without any.
     """
     i, j = wp.tid()
+    grid = rays.grid
     cell = band.first_cell + i
     centre_u = grid.azimuth_start + (float(cell) + 0.5) * grid.azimuth_step
-    clear = 1.0e-5 * size
     last = wp.min((j + 1) * segment, grid.elevation_cells)
     for k in range(j * segment, last):
-        random = wp.rand_init(band.seed, cell * grid.elevation_cells + k)
-        parts = int(1)
-        if split.shape[0] > 0:
-            parts = int(split[i, k])
-        part = 1.0 / float(parts)
-        for piece in range(parts * parts):
-            jitter_u = wp.randf(random) - 0.5
-            jitter_v = wp.randf(random) - 0.5
-            line = piece / parts
-            aside = (float(piece - line * parts) + 0.5) * part - 0.5
-            above = (float(line) + 0.5) * part - 0.5
-            elevation = grid.elevation_start + (float(k) + 0.5 + (above + part * jitter_v)) * grid.elevation_step
-            origin = ray_origin(grid, centre_u + (aside + part * jitter_u) * grid.azimuth_step, elevation)
-            direction = ray_direction(grid, elevation)
-            weight = part * part * grid.azimuth_step * grid.elevation_step / grid.pixel_area
-            met = wp.vec4i(0, 0, 0, 0)
-            second = wp.vec4(0.0, 0.0, 0.0, 0.0)
-            third = wp.vec4(0.0, 0.0, 0.0, 0.0)
-            entry = wp.vec3(0.0, 0.0, 0.0)
-            before = wp.vec3(0.0, 0.0, 0.0)
-            side = wp.vec3(0.0, 0.0, 0.0)
-            between = float(0.0)
-            reach = grid.reach
-            for bounce in range(max_bounces):
-                query = wp.mesh_query_ray(tree, origin + clear * side, direction, reach)
-                if not query.result:
-                    break
-                p0 = mesh.vertices[mesh.faces[query.face, 0]]
-                p1 = mesh.vertices[mesh.faces[query.face, 1]]
-                p2 = mesh.vertices[mesh.faces[query.face, 2]]
-                hit = intersect(origin, direction, p0, p1, p2)
-                slope = wp.dot(hit.normal, direction)
-                if wp.abs(slope) < 1.0e-6:
-                    break
-                point = p0 + hit.b1 * (p1 - p0) + hit.b2 * (p2 - p0)
-                side = -wp.sign(slope) * hit.normal  # the one the ray is on
-                met[bounce] = query.face + 1
-                second[bounce] = hit.b1
-                third[bounce] = hit.b2
-                home = -look_direction(grid, point)
-                if bounce == 0:
-                    entry = point
-                    if grid.slant_range > 0.0:
-                        weight = weight * (slant_range_of(grid, point) + grid.slant_range)
+        if cut.shape[0] > 0:
+            if cut[i, k] > wp.uint8(0):
+                continue
+        jitter = wp.vec2()
+        if cut.shape[0] == 0:
+            jitter = jitter_of(grid, band.seed, cell, k)
+        centre_v = grid.elevation_start + (float(k) + 0.5) * grid.elevation_step
+        tube = wp.vec4(centre_u, centre_v, 1.0, 1.0)
+        follow(rays, azimuth_of(grid, cell, jitter), elevation_of(grid, k, jitter), tube, wp.vec3(), True, records_out)
+
+
+@wp.struct
+class Line:
+    """A line across a cell: `count` places where what rays meet changes, from -0.5 to 0.5, and the marks of rays."""
+
+    count: int
+    at: wp.vec2
+    first: wp.uint64
+    second: wp.uint64
+    third: wp.uint64
+
+
+@wp.func
+def place_in(rays: PathRays, cell: wp.vec4i, along: float, across: float) -> wp.vec2:
+    """The place (azimuth, elevation) in a cell, from -0.5 to 0.5 along the axis of its strips, and across it."""
+    u = along
+    v = across
+    if cell[2] == 1:
+        u = across
+        v = along
+    return wp.vec2(
+        rays.grid.azimuth_start + (float(cell[0]) + 0.5 + u) * rays.grid.azimuth_step,
+        rays.grid.elevation_start + (float(cell[1]) + 0.5 + v) * rays.grid.elevation_step,
+    )
+
+
+@wp.func
+def mark_at(rays: PathRays, cell: wp.vec4i, along: float, across: float, records: PathRecords) -> wp.uint64:
+    place = place_in(rays, cell, along, across)
+    return follow(rays, place[0], place[1], wp.vec4(), wp.vec3(), False, records)
+
+
+@wp.func
+def line_of(rays: PathRays, cell: wp.vec4i, across: float, records: PathRecords) -> Line:
+    """A change is found by halving, one in each of two stretches."""
+    line = Line()
+    line.first = mark_at(rays, cell, -0.5, across, records)
+    mark = line.first
+    for n in range(2):
+        low = 0.5 * float(n) - 0.5
+        high = 0.5 * float(n)
+        beyond = mark_at(rays, cell, high, across, records)
+        if beyond != mark:
+            for _half in range(HALVINGS):
+                middle = 0.5 * (low + high)
+                if mark_at(rays, cell, middle, across, records) == mark:
+                    low = middle
                 else:
-                    between += wp.length(point - before)
-                    if wp.dot(side, home) > 0.0:
-                        # the bin first: a ray back to the radar costs more
-                        seen = apparent_point(grid, entry, point, between)
-                        row = int(wp.floor((slant_range_of(grid, seen) - grid.range_start) / grid.range_spacing - EDGE))
-                        col = int(wp.floor((wp.dot(seen, grid.u) - columns.start) / columns.spacing))
-                        if row >= 0 and row < grid.rows and col >= 0 and col < columns.count:
-                            back = wp.mesh_query_ray(tree, point + clear * side, home, size)
-                            if not back.result:
-                                slot = wp.atomic_add(records_out.count, 0, 1)
-                                if slot < records_out.bin.shape[0]:
-                                    records_out.bin[slot] = row * columns.count + col
-                                    records_out.bounces[slot] = bounce + 1
-                                    records_out.faces[slot] = met
-                                    records_out.second[slot] = second
-                                    records_out.third[slot] = third
-                                    records_out.weight[slot] = weight
-                                    records_out.point[slot] = seen
-                                    middle_u = centre_u + aside * grid.azimuth_step
-                                    middle_v = grid.elevation_start + (float(k) + 0.5 + above) * grid.elevation_step
-                                    records_out.ray[slot] = wp.vec3(middle_u, middle_v, part)
-                before = point
-                direction = direction - 2.0 * slope * hit.normal
-                origin = point
-                reach = size
-                if bounce == 1:
-                    wp.atomic_add(records_out.area, 0, weight)
-                if bounce == max_bounces - 1:
-                    further = wp.mesh_query_ray(tree, origin + clear * side, direction, reach)
-                    if further.result:
-                        wp.atomic_add(records_out.area, 1, weight)
+                    high = middle
+            line.at[line.count] = 0.5 * (low + high)
+            line.count += 1
+            if line.count == 1:
+                line.second = beyond
+            else:
+                line.third = beyond
+        mark = beyond
+    return line
+
+
+@wp.func
+def beside(line: Line, other: Line) -> Line:
+    """The line with as many changes as the other one has, if it has none: the border leaves by an end of the strip."""
+    if line.count == 0 and other.count == 1:
+        if line.first == other.first:
+            line.at[0] = 0.5
+        elif line.first == other.second:
+            line.at[0] = -0.5
+        else:
+            return line
+        line.count = 1
+        line.first = other.first
+        line.second = other.second
+    return line
+
+
+@wp.kernel(enable_backward=False)
+def border_kernel(
+    # In:
+    rays: PathRays,
+    cell: wp.array(dtype=wp.vec4i),
+    # Out:
+    records_out: PathRecords,
+):
+    """A border of bodies crosses each `cell`: azimuth, elevation, the axis along which it is cut into strips, and how
+    many these are.
+
+    The parts of a strip end where the rays in it begin to meet other planes, on both of its long sides: they have the
+    area and the phase of what they stand for. Rays at random places would leave to chance what fields that cancel add
+    up to.
+    """
+    i, j = wp.tid()
+    one = cell[i]
+    if j >= one[3]:
+        return
+    width = 1.0 / float(one[3])
+    middle = (float(j) + 0.5) * width - 0.5
+    near = line_of(rays, one, middle - 0.5 * width, records_out)
+    far = line_of(rays, one, middle + 0.5 * width, records_out)
+    near = beside(near, far)
+    far = beside(far, near)
+    same = near.count == far.count and near.first == far.first
+    if near.count > 0 and near.second != far.second:
+        same = False
+    if near.count > 1 and near.third != far.third:
+        same = False
+    if not same:
+        near = line_of(rays, one, middle, records_out)
+        far = near
+    begin = float(-0.5)
+    slant = float(0.0)
+    for n in range(near.count + 1):
+        end = float(0.5)
+        further = float(0.0)
+        if n < near.count:
+            end = 0.5 * (near.at[n] + far.at[n])
+            further = far.at[n] - near.at[n]
+        length = end - begin
+        if length > 1.0e-6:
+            place = place_in(rays, one, 0.5 * (begin + end), middle)
+            tube = wp.vec4(place[0], place[1], length, width)
+            if one[2] == 1:
+                tube = wp.vec4(place[0], place[1], width, length)
+            ends = wp.vec3(float(one[2]), slant / length, further / length)
+            follow(rays, place[0], place[1], tube, ends, True, records_out)
+            begin = end
+            slant = further
 
 
 @wp.kernel(enable_backward=False)
@@ -275,6 +445,7 @@ def reduce_paths_kernel(
     merged_out.third[i] = third / weight
     merged_out.point[i] = point / weight
     merged_out.ray[i] = records.ray[order[begin]]
+    merged_out.ends[i] = records.ends[order[begin]]
 
 
 @wp.func

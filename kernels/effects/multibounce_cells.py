@@ -9,7 +9,7 @@ the mean of its pattern over band and aperture, by the squares of their tapers (
 
 import warp as wp
 
-from warpsar.kernels.coherent.numbers import sinc, turned
+from warpsar.kernels.coherent.numbers import product, sinc, turned
 from warpsar.kernels.coherent.radiate import FOUR_PI
 from warpsar.kernels.effects.multibounce import PathRecords
 from warpsar.kernels.geometry import RayGrid, Triangles
@@ -17,6 +17,9 @@ from warpsar.kernels.geometry import RayGrid, Triangles
 HALF = wp.constant(wp.float64(0.5))
 TWO = wp.constant(wp.float64(2.0))
 ONE = wp.constant(wp.float64(1.0))
+ZERO = wp.constant(wp.float64(0.0))
+STEP = wp.constant(wp.float64(1.0e-3))
+"""Of a phase [rad], for slopes of fields."""
 STEPS = wp.constant(128)
 """Of a cell, in the table of the response."""
 REACH = wp.constant(16)
@@ -86,6 +89,23 @@ def tilted(a: wp.float64) -> wp.float64:
 
 
 @wp.func
+def moment_of(change: wp.vec2d) -> wp.vec2d:
+    """The change of a field over `STEP` to either side, as a moment: its slope over 2j."""
+    return (wp.float64(0.25) / STEP) * wp.vec2d(change[1], -change[0])
+
+
+@wp.func
+def slanted(along: wp.float64, across: wp.float64, begin: wp.float64, end: wp.float64) -> wp.vec2d:
+    """Integral of exp(2j (along s + across t)) over t from -1/2 to 1/2, and s from -1/2 + begin t to 1/2 + end t."""
+    first = sinc(across + along * begin)
+    last = sinc(across + along * end)
+    step = tilted(across) * (begin - end)
+    if wp.abs(along) > wp.float64(1.0e-4):
+        step = HALF * (last - first) / along
+    return wp.vec2d(HALF * (first + last) * sinc(along), -step * wp.cos(along))
+
+
+@wp.func
 def cell_of(cells: ResolutionCells, bin: int) -> wp.vec2i:
     """The sample below the middle of a bin (range, azimuth)."""
     row = bin / cells.bin_cols
@@ -137,15 +157,16 @@ def tube_kernel(
     along = -standoff
     across = elevation
     direction = ONE * d
-    part = wp.float64(records.ray[i][2])
-    side_u = part * wp.float64(grid.azimuth_step) * u
-    side_v = part * wp.float64(grid.elevation_step) * v
+    width = wp.float64(records.ray[i][2]) * wp.float64(grid.azimuth_step)
+    height = wp.float64(records.ray[i][3]) * wp.float64(grid.elevation_step)
+    side_u = width * u
+    side_v = height * v
     if slant_range > wp.float64(0.0):
         half = wp.sin(HALF * elevation)
         along = -TWO * half * half * slant_range - standoff * wp.cos(elevation)
         across = (slant_range - standoff) * wp.sin(elevation)
         direction = wp.cos(elevation) * d + wp.sin(elevation) * v
-        side_v = part * wp.float64(grid.elevation_step) * (wp.cos(elevation) * v - wp.sin(elevation) * d)
+        side_v = height * (wp.cos(elevation) * v - wp.sin(elevation) * d)
     point = wp.float64(records.ray[i][0]) * u + along * d + across * v
     enters_u = wp.vec3d()
     enters_v = wp.vec3d()
@@ -207,18 +228,30 @@ def tube_kernel(
         total += share * share
     size = wavenumber / FOUR_PI * area / wp.sqrt(wp.max(total, wp.float64(1.0e-3)))
     phase = turned(-TWO * wavenumber * along)
-    field = size * phase
-    moment = size * wp.vec2d(-phase[1], phase[0])  # times j
-    by_u = tilted(turn_u) * sinc(turn_v)
-    by_v = sinc(turn_u) * tilted(turn_v)
+    at = wp.vec2d(turn_u, turn_v)
+    if records.ends[i][0] > 0.5:
+        at = wp.vec2d(turn_v, turn_u)
+    begin = wp.float64(records.ends[i][1])
+    end = wp.float64(records.ends[i][2])
+    whole = slanted(at[0], at[1], begin, end)
+    by_along = wp.vec2d(ZERO, tilted(at[0]) * sinc(at[1]))
+    by_across = wp.vec2d(ZERO, sinc(at[0]) * tilted(at[1]))
+    if begin != ZERO or end != ZERO:  # moments are slopes of the field, over 2j
+        by_along = moment_of(slanted(at[0] + STEP, at[1], begin, end) - slanted(at[0] - STEP, at[1], begin, end))
+        by_across = moment_of(slanted(at[0], at[1] + STEP, begin, end) - slanted(at[0], at[1] - STEP, begin, end))
+    by_u = by_along
+    by_v = by_across
+    if records.ends[i][0] > 0.5:
+        by_u = by_across
+        by_v = by_along
     tubes_out.place[i] = place
-    tubes_out.field[i] = sinc(turn_u) * sinc(turn_v) * field
-    tubes_out.by_range[i] = (
-        (by_u * wp.dot(turn, foot_u) + by_v * wp.dot(turn, foot_v)) * (-ONE / cells.size[0]) * moment
+    tubes_out.field[i] = size * product(whole, phase)
+    tubes_out.by_range[i] = (-size / cells.size[0]) * product(
+        wp.dot(turn, foot_u) * by_u + wp.dot(turn, foot_v) * by_v, phase
     )
     shift_u = HALF * wp.dot(u, enters_u + foot_u)
     shift_v = HALF * wp.dot(u, enters_v + foot_v)
-    tubes_out.by_azimuth[i] = ((by_u * shift_u + by_v * shift_v) / cells.size[1]) * moment
+    tubes_out.by_azimuth[i] = (size / cells.size[1]) * product(shift_u * by_u + shift_v * by_v, phase)
 
 
 @wp.kernel(enable_backward=False)

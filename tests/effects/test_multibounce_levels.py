@@ -524,12 +524,12 @@ def test_groups_of_tubes_without_a_field() -> None:
             "point": np.zeros((3, 3), np.float32),
         }
         part = cells.Coupled(records, field, loose, np.array([[k, 0] for k in range(9)]), np.array([0, 3, 6]))
-        borders = cells.borders_of(cells.share([part], grid, (0.5, 0.5)), np.array([1, 2]), 0.25)
+        borders = cells.borders_of(cells.share([part], grid, (0.5, 0.5)), np.array([1, 2]))
         lit = int(np.count_nonzero(np.array(strengths) == 1.0))
         # its cells are a row: they, and those beside them that meet nothing; the other groups are of the same planes
         beside = [(x, y) for x in range(-1, 4) for y in (-1, 1)] + [(x, 0) for x in range(-1, 3)]
         assert {tuple(one) for one in borders.cell.tolist()} == (set(beside) if lit else set())
-        assert (borders.split == 6).all()  # (1.26 * 3 ** -0.75 / 0.04) ** (2 / 3) is 5.7
+        assert borders.error == pytest.approx(1.26 * 3**-0.75)
         made, samples = cells.samples_of(
             cells.share([part], grid, (0.5, 0.5)), np.array([1, 2]), np.ones(2), 4, 0.25, wp.get_device("cpu")
         )
@@ -579,6 +579,20 @@ def test_other_rays_and_bins_find_the_same_levels(kind: str) -> None:
             other = with_effect(plain, "registration", {"range_m": 0.2, "azimuth_m": -0.1})
         # other rays: the accuracy of bright samples is 4 %
         assert db(total(other, layer)) == pytest.approx(db(total(plain, layer)), abs=0.15)
+
+
+def test_rays_leave_little_open_off_the_flash() -> None:
+    """Six degrees off, fields of a wall cancel but for its ends. With rays at random places in the cells at its borders
+    seeds differed by 0.33 % of the mean, and it was 6 % below that of 512 rays a pixel. With strips that end at the
+    borders seeds differ by 0.03 %, and twice as many rays find the same to 1 %."""
+    made = []
+    for seed, rays in ((1, 64.0), (2, 64.0), (3, 64.0), (1, 128.0)):
+        scene = bouncing(dihedral(8.0, 3.0), view(6.0, 45.0), 9.6e9, shape=(24, 24), rays_per_pixel=rays, max_bounces=2)
+        sampling = scene.sampling.model_copy(update={"seed": seed})
+        made.append(total(replace(scene, sampling=sampling), "beta0_2_bounces_HH"))
+    print(f"seeds {np.std(made[:3]) / np.mean(made[:3]):.4f}, more rays {made[3] / np.mean(made[:3]) - 1:+.4f}, {made}")
+    assert np.std(made[:3]) < 0.0015 * np.mean(made[:3])
+    assert made[3] == pytest.approx(np.mean(made[:3]), rel=0.01)
 
 
 def test_bands_do_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:

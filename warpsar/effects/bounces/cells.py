@@ -25,7 +25,7 @@ _WEAK = 1e-4
 _WEAKEST = 1e-8
 """The same, of the view's strongest."""
 _LEAST_FALL = 0.02
-"""Share of a sample's power below which a bin gets nothing of it."""
+"""Share of a sample's power below which a bin gets less, and nothing below half of it."""
 _ONE_PHASE = 1.5
 """Power of an even field without a taper, over what as many bins as have its power would add up to: 2/3 in truth."""
 _ROUNDING = 1e-3
@@ -33,14 +33,8 @@ _ROUNDING = 1e-3
 
 _BRIGHT = 1e-3
 """Power of a sample, over that of the brightest, from which on its accuracy counts."""
-_SEEN = 0.05
-"""The same as beta0 of mirrors: two surfaces that are no metal send some 20 dB less, and so less than ground."""
-_ACCURACY = 0.04
-"""Of a bright sample's power: where tubes are too few for it, they are cut."""
 _ERROR_OF_ONE = 1.26
 """Relative error of the power of a sample to which one tube sends."""
-_MOST_SPLIT = 16
-"""Parts into which the side of a tube is cut at most."""
 _EDGE = 0.03
 """Share of a band over which its ends fall to 0."""
 
@@ -220,7 +214,8 @@ def samples_of(
         **{name: records[name][strongest] for name in ("bounces", "faces", "second", "third")},
         "weight": np.ones(n, np.float32),
         "point": np.stack(place_m, axis=1)[sample].astype(np.float32),
-        "ray": np.zeros((n, 3), np.float32),
+        "ray": np.zeros((n, 4), np.float32),
+        "ends": np.zeros((n, 3), np.float32),
     }
     owner, bin_, share = _falls(sample[path], path, bins, columns, sent)
     count = np.diff(first)[owner]
@@ -285,50 +280,49 @@ def _shares(
 
 @dataclass(frozen=True)
 class Borders:
-    """Ray cells at the borders of bodies: `cell` (azimuth, elevation), (n, 2), and `error`, (n,).
+    """Ray cells at the borders of bodies: `cell` (azimuth, elevation), (n, 2); `error` and `along`, (n,).
 
     `error` is that of the power of the brightest samples that the cell's tube sends to, relative, if it is not cut.
-    `bright`: whether these are among the view's brightest, and do not only stand out of the ground.
+    `bright`: whether these are among the view's brightest, and do not only stand out of the ground. `along`: how
+    many more pairs of neighbours on opposite sides meet different surfaces along the azimuth than along the elevation.
     """
 
     cell: NDArray[np.int64]
     error: NDArray[np.float64]
     bright: NDArray[np.bool_]
-
-    @property
-    def split(self) -> NDArray[np.int64]:
-        """Into how many parts to cut each side of a cell: the error falls with its power of 3/2."""
-        return np.ceil(np.clip((self.error / _ACCURACY) ** (2 / 3), 1.0, _MOST_SPLIT)).astype(np.int64)
+    along: NDArray[np.int64]
 
 
-def borders_of(fields: SharedFields, planes: NDArray[np.int64], pixel_area_m2: float) -> Borders:
-    """Cells of bright samples with too few tubes, where neighbours meet other surfaces; these neighbours too.
+def borders_of(fields: SharedFields, planes: NDArray[np.int64]) -> Borders:
+    """Cells of tubes where neighbours meet other surfaces; these neighbours too.
 
     A tube inside of a body is exact, however wide: its phase is linear. One at a border is in or out by chance.
     `planes` numbers the planes of faces, from 1 on.
     """
-    error, bright = (of_group[fields.owner] for of_group in errors_of(fields, pixel_area_m2))
-    cell = fields.cell
-    if not (error > _ACCURACY).any():
-        return Borders(np.zeros((0, 2), np.int64), np.zeros(0), np.zeros(0, bool))
+    error, bright = (of_group[fields.owner] for of_group in errors_of(fields))
+    cell, wanted = fields.cell, error > 0.0  # other groups send nothing
+    if not wanted.any():
+        return Borders(np.zeros((0, 2), np.int64), np.zeros(0), np.zeros(0, bool), np.zeros(0, np.int64))
     _, met = np.unique(np.append(0, planes)[fields.records["faces"]], axis=0, return_inverse=True)
     of = met.reshape(-1)[fields.owner] + 1
-    start = cell.min(axis=0) - 1
-    surfaces = np.zeros(np.ptp(cell, axis=0) + 3, np.int64)
+    start = cell.min(axis=0) - 2
+    surfaces = np.zeros(np.ptp(cell, axis=0) + 5, np.int64)
     surfaces[tuple((cell - start).T)] = of
-    wanted = error > _ACCURACY
     cell, of, error, bright = cell[wanted], of[wanted], error[wanted], bright[wanted]
     found = []
     for step in product((-1, 0, 1), repeat=2):
         beside = cell + step
         other = surfaces[tuple((beside - start).T)] != of
         found += [(at[other], error[other], bright[other]) for at in (beside, cell)]
-    return Borders(*(np.concatenate(one) for one in zip(*found, strict=True)))
+    at, error, bright = (np.concatenate(one) for one in zip(*found, strict=True))
+    about = {step: surfaces[tuple((at + step - start).T)] for step in product((-1, 0, 1), repeat=2)}
+    along = sum((about[1, n] != about[-1, n]).astype(int) - (about[n, 1] != about[n, -1]) for n in (-1, 0, 1))
+    return Borders(at, error, bright, np.asarray(along))
 
 
-def errors_of(fields: SharedFields, pixel_area_m2: float) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Relative error of the power of the samples to which each group of tubes sends, (n,), by their number; 0 where
-    these are too dark to be seen. And whether such a sample is among the view's brightest.
+def errors_of(fields: SharedFields) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Relative error of the power of the samples to which each group of tubes sends, (n,), by their number. And whether
+    such a sample is among the view's brightest.
 
     Of n tubes, those at the border of a body are in or out by chance: 4 sqrt(n) of them, each with a variance of about
     0.1 of its square. The sum of their fields may be much smaller than they are, as off the flash of a long face.
@@ -338,11 +332,10 @@ def errors_of(fields: SharedFields, pixel_area_m2: float) -> tuple[NDArray[np.fl
     size = np.abs(field).astype(float)
     power = np.bincount(sample, field.real) ** 2 + np.bincount(sample, field.imag) ** 2
     squares = np.bincount(sample, loose)
-    tubes = np.bincount(sample, np.sqrt(loose * fields.tubes[group])) ** 2 / np.maximum(squares, np.finfo(float).tiny)
+    least = np.finfo(float).tiny
+    tubes = np.bincount(sample, np.sqrt(loose * fields.tubes[group])) ** 2 / np.maximum(squares, least)
     bright = power > _BRIGHT * power.max(initial=0.0)
-    seen = bright | (4.0 * np.pi * power > _SEEN * pixel_area_m2)
-    relative = np.sqrt(squares / np.where(seen, power, 1.0)) * np.maximum(tubes, 1.0) ** -0.25
-    error = np.where(seen, _ERROR_OF_ONE * relative, 0.0)
+    error = _ERROR_OF_ONE * np.sqrt(squares / np.maximum(power, least)) * np.maximum(tubes, 1.0) ** -0.25
     strongest, worst, among = (np.zeros(fields.tubes.size) for _ in range(3))
     np.maximum.at(strongest, group, size)
     mine = size**2 >= 0.1 * strongest[group] ** 2
@@ -395,9 +388,8 @@ def _falls(
     share = np.bincount(inverse, falls[falls > 0.0]).astype(float)
     owner, bin_ = np.divmod(keys, across)
     count = int(of_path.max(initial=-1)) + 1
-    for _ in range(2):  # the small ones go, and the others take their place
-        share = share / np.bincount(owner, share, count)[owner]
-        much = share >= _LEAST_FALL
-        much |= share >= np.maximum.reduceat(share, np.searchsorted(owner, np.arange(count)))[owner]
-        owner, bin_, share = owner[much], bin_[much], share[much]
+    share = share / np.bincount(owner, share, count)[owner]
+    least = np.minimum(np.maximum.reduceat(share, np.searchsorted(owner, np.arange(count))), _LEAST_FALL)
+    share = share * np.clip(2.0 * share / least[owner] - 1.0, 0.0, 1.0)  # small ones go, without a step
+    owner, bin_, share = owner[share > 0.0], bin_[share > 0.0], share[share > 0.0]
     return owner, bin_, share / np.bincount(owner, share, count)[owner]

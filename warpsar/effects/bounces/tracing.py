@@ -33,7 +33,7 @@ from warpsar.trace.hits import DEFAULT_MEMORY_GIB, BinGrid, concatenate
 from warpsar.trace.rays import ray_grid
 from warpsar.trace.target import Target
 
-_RECORD_BYTES = 240  # a record, its field, and the sort's keys and order, twice
+_RECORD_BYTES = 260  # a record, its field, and the sort's keys and order, twice
 _SEGMENT = 64  # cells of one thread on CUDA
 _FEWEST_BANDS, _MOST_BANDS = 8, 64  # on the CPU, where there is memory for them
 _RAYS_OF_BAND = 100_000  # from so many on, a launch costs little beside them
@@ -42,6 +42,7 @@ _MOST = 4  # bounces that a path may have
 _UNSURE = 0.12  # of a bright corner's power, half a decibel: rays are too few
 _FAINTEST = 1e-3  # of a field, that a face is taken to mirror at least
 _LEAST_BUDGET = 1_000_000  # rays that cutting may add to a small view
+_STRIPS, _RAYS_OF_STRIP = 4, 30  # into which a cell at a border is cut, and rays that find where one ends
 
 _ARRAYS = {n: dtype for n, dtype in element_types(kernels.PathRecords).items() if n not in ("count", "area")}
 
@@ -114,18 +115,20 @@ def trace_paths(render: Recorder, max_bounces: int, cell_m: tuple[float, float] 
         fill(Band, first_cell=begin, end_cell=min(begin + width, last), seed=hits.seed)
         for begin in range(first, last, width)
     ]
-    tasks = [partial(_band, render, rays, max_bounces, cells, band) for band in bands]
+    kinds, planes = _kinds(render)
+    followed = _followed(render, rays, planes, max_bounces)
+    tasks = [partial(_band, render, followed, cells, band) for band in bands]
     traced_bands = list(threads.ordered(tasks, target.device))
     plain = [_Traced([one and _Merged(one.records, None) for one in band.of], band.area) for band in traced_bands]
     shared: list[SharedFields | None] = [None] * (max_bounces - 1)
     error = 0.0
     if cell_m is not None:
         shared = _shared(traced_bands, max_bounces, grid, cell_m)
-        (kinds, planes), mirrors = _kinds(render), _mirrors(render)
-        splits, error = _splits(shared, planes, area, rays, bands)
-        if splits:
-            again = [partial(_band, render, rays, max_bounces, cells, bands[at], split) for at, split in splits.items()]
-            finer = dict(zip(splits, threads.ordered(again, target.device), strict=True))
+        mirrors = _mirrors(render)
+        cuts, error = _cuts(shared, planes, rays, bands)
+        if cuts:
+            again = [partial(_band, render, followed, cells, bands[at], cut) for at, cut in cuts.items()]
+            finer = dict(zip(cuts, threads.ordered(again, target.device), strict=True))
             traced_bands = [finer.get(at, one) for at, one in enumerate(traced_bands)]
             shared = _shared(traced_bands, max_bounces, grid, cell_m)
     found = _joined(traced_bands, max_bounces, rays, target)
@@ -214,38 +217,37 @@ def _remarks(traced: Sequence[_Traced], max_bounces: int, error: float) -> list[
     return found
 
 
-def _splits(
-    shared: Sequence[SharedFields | None], planes: NDArray[np.int64], area: float, rays: RayGrid, bands: Sequence[Any]
-) -> tuple[dict[int, NDArray[np.uint8]], float]:
-    """The bands that have cells to cut, each with the parts of its cells' sides (`kernels.path_kernel`).
+def _cuts(
+    shared: Sequence[SharedFields | None], planes: NDArray[np.int64], rays: RayGrid, bands: Sequence[Any]
+) -> tuple[dict[int, NDArray[np.int32]], float]:
+    """The bands that have cells to cut, each with those of `kernels.border_kernel`, (n, 4).
 
     All cuts together send at most as many rays again: the view's brightest samples come first. And the largest
     relative error of the power of one of these that is left.
     """
-    found = [borders_of(fields, planes, area) for fields in shared if fields is not None]
+    found = [borders_of(fields, planes) for fields in shared if fields is not None]
     if not any(len(one.cell) for one in found):
         return {}, 0.0
-    size = rays.end_cell - rays.first_cell + 2, rays.elevation_cells + 2
-    at = [(one.cell[:, 0] - rays.first_cell + 1, one.cell[:, 1] + 1) for one in found]
-    budget = max((size[0] - 2) * (size[1] - 2), _LEAST_BUDGET)
-    split = np.ones(size, np.uint8)
-    for first in (True, False):
-        parts = np.ones(size, np.uint8)
-        for one, (row, column) in zip(found, at, strict=True):
-            mine = one.bright == first
-            np.maximum.at(parts, (row[mine], column[mine]), one.split[mine].astype(np.uint8))
-        more = int((parts[1:-1, 1:-1].astype(np.int64) ** 2 - 1).sum())
-        if more > budget:
-            parts = np.floor(np.maximum(parts * np.sqrt(budget / more), 1.0)).astype(np.uint8)
-        budget = max(budget - more, 0)
-        np.maximum(split, parts, out=split)
-    inner = split[1:-1, 1:-1]
-    left = [(one.error * split[place].astype(float) ** -1.5)[one.bright] for one, place in zip(found, at, strict=True)]
-    of_bands = {
-        at: inner[band.first_cell - rays.first_cell : band.end_cell - rays.first_cell] for at, band in enumerate(bands)
-    }
-    cut = {at: np.ascontiguousarray(one) for at, one in of_bands.items() if (one > 1).any()}
-    return cut, max(float(one.max(initial=0.0)) for one in left)
+    size = rays.end_cell - rays.first_cell, rays.elevation_cells
+    cell, error, bright, along = (
+        np.concatenate([getattr(one, name) for one in found]) for name in ("cell", "error", "bright", "along")
+    )
+    cell = cell - (rays.first_cell, 0)
+    inside = ((cell >= 0) & (cell < size)).all(axis=1)
+    cell, number = np.unique(cell[inside], axis=0, return_inverse=True)
+    number = number.reshape(-1)
+    worst, among = np.zeros(len(cell)), np.zeros(len(cell))
+    np.maximum.at(worst, number, error[inside])
+    np.maximum.at(among, number, bright[inside])
+    lean = np.bincount(number, along[inside], len(cell))
+    count = max(size[0] * size[1], _LEAST_BUDGET) // (_RAYS_OF_STRIP * _STRIPS)
+    order = np.lexsort((-worst, -among))
+    left = float((worst * among)[order[count:]].max(initial=0.0))
+    order = np.sort(order[:count])
+    strips = np.full(len(order), _STRIPS)
+    chosen = np.column_stack([cell[order] + (rays.first_cell, 0), lean[order] < 0, strips]).astype(np.int32)
+    owner = np.searchsorted([band.end_cell for band in bands], chosen[:, 0], side="right")
+    return {int(at): np.ascontiguousarray(chosen[owner == at]) for at in np.unique(owner)}, left
 
 
 def _band_width(rays: RayGrid, max_bounces: int, device: wp.Device) -> int:
@@ -276,27 +278,48 @@ class _Traced:
     area: NDArray[np.float32]
 
 
-def _band(
-    render: Recorder, rays: RayGrid, max_bounces: int, cells: Any, band: Any, split: NDArray[np.uint8] | None = None
-) -> _Traced:
-    """Paths of a band of azimuth cells, merged, by number of bounces."""
-    hits, target = render.hits, render.stage.target
-    grid, device = hits.grid, target.device
+def _followed(render: Recorder, rays: RayGrid, planes: NDArray[np.int64], max_bounces: int) -> Any:
+    """`kernels.PathRays` of a view."""
+    target, grid = render.stage.target, render.hits.grid
+    return fill(
+        kernels.PathRays,
+        grid=rays,
+        mesh=target.triangles,
+        columns=fill(kernels.ImageColumns, start=grid.start_m[1], spacing=grid.spacing_m[1], count=grid.shape[1]),
+        tree=target.bvh.id,
+        plane=wp.array(planes, dtype=int, device=target.device),
+        max_bounces=max_bounces,
+        size=float(np.linalg.norm(np.ptp(target.corners, axis=0))),
+    )
+
+
+def _band(render: Recorder, followed: Any, cells: Any, band: Any, cut: NDArray[np.int32] | None = None) -> _Traced:
+    """Paths of a band of azimuth cells, merged, by number of bounces. `cut`: cells of `border_kernel`, (n, 4)."""
+    device, rays, max_bounces = render.stage.target.device, followed.grid, followed.max_bounces
     segment = rays.elevation_cells if device.is_cpu else _SEGMENT
     dim = (band.end_cell - band.first_cell, -(-rays.elevation_cells // segment))
-    size = float(np.linalg.norm(np.ptp(target.corners, axis=0)))
-    columns = fill(kernels.ImageColumns, start=grid.start_m[1], spacing=grid.spacing_m[1], count=grid.shape[1])
-    cut: wp.array = wp.array(np.zeros((0, 0), np.uint8) if split is None else split, dtype=wp.uint8, device=device)
-    inputs = [rays, target.triangles, band, columns, cut, target.bvh.id, segment, max_bounces, size]
-    sent = dim[0] * rays.elevation_cells if split is None else int((split.astype(np.int64) ** 2).sum())
+    out = np.zeros((0, 0) if cut is None else (dim[0], rays.elevation_cells), np.uint8)
+    sent = dim[0] * rays.elevation_cells
+    if cut is not None:
+        out[cut[:, 0] - band.first_cell, cut[:, 1]] = 1
+        sent += 3 * int(cut[:, 3].sum())
+    left_out: wp.array = wp.array(out, dtype=wp.uint8, device=device)
     # a ray may return from each of its bounces but the first; on the CPU, room that nothing is written to is free
     capacity = (max_bounces - 1) * sent if device.is_cpu else max(4096, sent // 4)
     while True:
         records = _records(capacity, device)
-        wp.launch(kernels.path_kernel, dim, inputs=inputs, outputs=[records], device=device)
+        wp.launch(
+            kernels.path_kernel, dim, inputs=[followed, band, left_out, segment], outputs=[records], device=device
+        )
+        if cut is not None:
+            at = wp.array(cut, dtype=wp.vec4i, device=device)
+            strips = int(cut[:, 3].max())
+            wp.launch(
+                kernels.border_kernel, (len(cut), strips), inputs=[followed, at], outputs=[records], device=device
+            )
         count = int(records.count.numpy()[0])
         if count <= capacity:
-            couples = partial(_coupled, render, rays, cells, split is None)
+            couples = partial(_coupled, render, rays, cells, cut is None)
             of: list[_Merged | None] = [None] * (max_bounces - 1)
             if count:
                 of = _merge(records, count, max_bounces, couples)
