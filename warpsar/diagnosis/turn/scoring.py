@@ -24,6 +24,7 @@ from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import Rays
 from warpsar.speckle.scan import Scan
 
+OF_PATHS = 0.25  # of the rays: a template of paths over several surfaces, whose noise its pixels hardly add up to
 CLASS_COSINE = 0.9  # templates closer than this are one class: the data hardly tell them apart
 
 
@@ -88,8 +89,11 @@ def _grouped(
     maker = TemplateMaker(base.scene, setup.device, other_rays, observations, evidence.modelled)
     # A fit without multiple bounces may have made the surface a poor mirror. Paths are invisible there, so their
     # templates are taken at the declared surface too.
-    unmoved = as_declared(scene, base.scene)
-    paths = TemplateMaker(unmoved, setup.device, other_rays, observations, evidence.modelled)
+    few = other_rays.thinned(OF_PATHS)
+    paths = [
+        TemplateMaker(each, setup.device, few, observations, evidence.modelled)
+        for each in (base.scene, as_declared(scene, base.scene))
+    ]
     projection = projection_of(maker, setup, evidence)
     evidence = beside_fields(evidence, projection, seed)
     found: dict[str, list[TemplateGroup]] = {}
@@ -99,9 +103,8 @@ def _grouped(
         if get(name).last_resort or any(name in refused_with(material.model) for material in scene.materials.values()):
             found[name] = []
             continue
-        templates = maker.templates(name)
-        if get(name).stage == "path":
-            templates += paths.templates(name)
+        makers = paths if get(name).follows_rays else [maker]
+        templates = [one for each in makers for one in each.templates(name)]
         found[name] = group(templates, projection, evidence)
     return projection, evidence, found
 
