@@ -19,12 +19,12 @@ from warpsar.diagnosis.scores.score import NOT_TESTABLE, TangentProjection, Temp
 from warpsar.diagnosis.scores.templates import Template, TemplateMaker
 from warpsar.diagnosis.turn.field_projection import bar_those_alone, beside_fields, projection_of
 from warpsar.effects.registry import get, names, refused_with
+from warpsar.learning.pose import FEW_RAYS
 from warpsar.runtime import once
 from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import Rays
 from warpsar.speckle.scan import Scan
 
-OF_PATHS = 0.25  # of the rays: a template of paths over several surfaces, whose noise its pixels hardly add up to
 CLASS_COSINE = 0.9  # templates closer than this are one class: the data hardly tell them apart
 
 
@@ -89,7 +89,8 @@ def _grouped(
     maker = TemplateMaker(base.scene, setup.device, other_rays, observations, evidence.modelled)
     # A fit without multiple bounces may have made the surface a poor mirror. Paths are invisible there, so their
     # templates are taken at the declared surface too.
-    few = other_rays.thinned(OF_PATHS)
+    # a score sums over a template's pixels, and so hardly feels the noise of few rays
+    few = other_rays.thinned(FEW_RAYS)
     paths = [
         TemplateMaker(each, setup.device, few, observations, evidence.modelled)
         for each in (base.scene, as_declared(scene, base.scene))
