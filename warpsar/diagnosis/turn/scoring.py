@@ -53,8 +53,18 @@ def score_effects(
     scores = {name: max(float(g.largest(residual[:, None])[0]) for g in members) for name, members in groups.items()}
     scores["scan"] = abs(spot.z)
 
+    def pays(members: list[TemplateGroup], price: float) -> bool:
+        """Whether any template's score, which is about what its fit gains, is more than its numbers cost."""
+        most = [(evidence.area * float(g.statistics(residual[:, None])[0].max()), len(g.one_sided)) for g in members]
+        return any(gain > size * price for gain, size in most)
+
     def decided(so_far: Bootstrap) -> bool:
-        return so_far.decides(scores, options.family_error)
+        if so_far.decides(scores, options.family_error):
+            return True
+        # on which side of the threshold an effect lies that would not be added is no question for more draws
+        price = evidence.price()
+        asked = {name: one for name, one in scores.items() if name not in groups or pays(groups[name], price)}
+        return so_far.decides(asked, options.family_error)
 
     boot = bootstrap(evidence, projection, groups, scan, options.draws, options.seed + number, progress, decided)
     dark = scan_dark(setup, other_rays, base, evidence, options.seed + number)

@@ -219,9 +219,7 @@ def _followed(render: Recorder, max_bounces: int, cell_m: tuple[float, float] | 
     return _Followed(rays, _joined(traced_bands, max_bounces, rays, target), shared, remarks, without_cells)
 
 
-def _joined(
-    traced: Sequence[_Traced], max_bounces: int, rays: RayGrid, target: Target
-) -> list[BouncePaths | None]:
+def _joined(traced: Sequence[_Traced], max_bounces: int, rays: RayGrid, target: Target) -> list[BouncePaths | None]:
     """The paths of all bands by number of bounces, two first; None where there are none."""
     found: list[BouncePaths | None] = []
     for index in range(max_bounces - 1):
