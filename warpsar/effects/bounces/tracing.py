@@ -107,7 +107,7 @@ def trace_paths(render: Recorder, max_bounces: int, cell_m: tuple[float, float] 
     followed = _FOLLOWED.of(
         _key(render, max_bounces, cell_m), render.stage.target.device, partial(_followed, render, max_bounces, cell_m)
     )
-    found = [paths and BouncesOfOneNumber(paths) for paths in followed.paths]
+    found = [None if paths is None else BouncesOfOneNumber(paths) for paths in followed.paths]
     if cell_m is not None:
         hits, device = render.hits, render.stage.target.device
         area = render.spacing_m[0] * render.spacing_m[1]
@@ -212,7 +212,7 @@ def _followed(render: Recorder, max_bounces: int, cell_m: tuple[float, float] | 
 
     def without_cells() -> TracedPaths:
         paths = _joined(plain, max_bounces, rays, target)
-        found = [one and BouncesOfOneNumber(one) for one in paths]
+        found = [None if one is None else BouncesOfOneNumber(one) for one in paths]
         return TracedPaths(found, _remarks(plain, max_bounces, 0.0), without_cells)
 
     remarks = _remarks(traced_bands, max_bounces, error)
