@@ -479,6 +479,7 @@ def test_what_is_left_out_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     small = bouncing(trihedral("triangular", 0.5), view(45.0, AXIS_DEG), 9.6e9, shape=(4, 4), rays_per_pixel=8.0)
     assert "needed" not in said(small)  # its cells are cut
     monkeypatch.setattr(tracing, "_LEAST_BUDGET", 0)  # as in a large view, which has as many rays as may be added
+    monkeypatch.setattr(tracing, "_FOLLOWED", tracing._Kept())
     assert "more rays_per_pixel of [sampling] are needed" in said(small)
     monkeypatch.undo()
     # its double bounces are off their flash: only their ends shine, which cut cells at the borders know well

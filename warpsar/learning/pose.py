@@ -39,6 +39,7 @@ MOST_STEPS = 40
 LARGEST_MOVE_M, LARGEST_STEP = 1.0, 1.0  # in one step: of a pose, and of a log coordinate
 STANDS_M = 1e-2  # standard deviation of a foot's height about the ground that it stands on
 DAMPED = 1e-3  # damping of a first step, and least one after a step that gained nothing
+FEW_RAYS = 0.25  # of the scene's: for paths over several surfaces where images are only screened
 FLAT = 2e-3  # gain in log-likelihood that counts as none
 
 
@@ -67,7 +68,8 @@ class PosedProblem:
         """`held`: nothing moves but the poses. `level` [beta0]: how much of the floor was added to the measurement.
         `bound` is that of the loss, as in `FitProblem`. `forward`: changes by poses are forward differences, of half as
         many images, for a search that something finer follows. `rough`: these are of single bounces alone, which is
-        enough to tell which pose is worth a fit. Paths over several surfaces would be traced for each.
+        enough to tell which pose is worth a fit. Paths over several surfaces would be traced for each. Those of the
+        scene as it stands take `FEW_RAYS` of its rays: blurred images average over many pixels.
 
         `standing`: labels of objects whose foot stays at its height, known to `STANDS_M`. Their height and that of the
         foot would trade otherwise: a body sunk into the ground looks like a lower one.
@@ -117,7 +119,8 @@ class PosedProblem:
 
     def _made(self, p: np.ndarray) -> FitProblem:
         scene = self.geometry.at(p)
-        rays = ExactRays(Stage.of(scene, self.device), seed=scene.sampling.seed)
+        density = scene.sampling.density_per_m2(scene.grid) * (FEW_RAYS if self.rough else 1.0)
+        rays = ExactRays(Stage.of(scene, self.device), density, scene.sampling.seed)
         roles = ("train", "test")
         return FitProblem(
             scene,

@@ -106,6 +106,14 @@ class Rays:
         self._kept: dict[_Key, Hits] = {}
         self._most: dict[_Key, int] = {}
         self._tracing = threading.Lock()
+        self._thinned: dict[float, Rays] = {}
+
+    def thinned(self, share: float) -> Rays:
+        """A set with a `share` of the rays, made when first asked for and then kept. Both state a density."""
+        assert self.rays_per_m2 is not None
+        if share not in self._thinned:
+            self._thinned[share] = Rays(self.stage, share * self.rays_per_m2, self.seed)
+        return self._thinned[share]
 
     def hits(self, scene: Scene, view: View, effects: list[DeclaredEffect]) -> Hits:
         """Hits of a view, traced when first asked for and then kept."""

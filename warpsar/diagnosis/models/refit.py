@@ -278,7 +278,8 @@ def _known_by_rays(setup: FitSetup, other: FitSetup, fitted: Fitted) -> FitSetup
 
 def fitted_at(setup: FitSetup, problem: FitProblem, x: np.ndarray, loss: float, iterations: int) -> Fitted:
     """A problem's model at x, where its loss is `loss`."""
-    scene = learned_scene(problem, x)
-    bare = problem if not any(get(n).additive for n in scene.effects) else setup.problem(scene, dark=False)
-    value = float(once.decide(bare.value(bare.modelled(x)) + problem.prior.value(x)))
-    return Fitted(scene, problem, x, -value, -loss, iterations)
+    scene, value, misfit = learned_scene(problem, x), problem.prior.value(x), problem.misfit
+    bare = [seen for view in problem.views for seen in setup.observations[view.view.name]]
+    for lit, seen, mu in zip(bare, problem.observations, problem.modelled(x), strict=True):
+        value += misfit.weight(lit) * float(misfit.terms(lit, mu[lit.interior[seen.interior]]).sum())
+    return Fitted(scene, problem, x, -float(once.decide(value)), -loss, iterations)

@@ -158,7 +158,7 @@ def _without(declared: Scene, exact: Exact, here: Fitted, label: str, blur_m: fl
     scene = still(without_object(declared, here.scene, label))
     if any(get(name).check(scene, table) for name, table in scene.effects.items()):
         return np.inf
-    problem = exact.problem(scene, blur_m=blur_m, bound=BOUND)
+    problem = exact.problem(scene, blur_m=blur_m, bound=BOUND, rough=True)
     return problem.value(problem.x0)
 
 

@@ -19,6 +19,7 @@ from warpsar.diagnosis.scores.score import NOT_TESTABLE, TangentProjection, Temp
 from warpsar.diagnosis.scores.templates import Template, TemplateMaker
 from warpsar.diagnosis.turn.field_projection import bar_those_alone, beside_fields, projection_of
 from warpsar.effects.registry import get, names, refused_with
+from warpsar.learning.pose import FEW_RAYS
 from warpsar.runtime import once
 from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import Rays
@@ -52,8 +53,18 @@ def score_effects(
     scores = {name: max(float(g.largest(residual[:, None])[0]) for g in members) for name, members in groups.items()}
     scores["scan"] = abs(spot.z)
 
+    def pays(members: list[TemplateGroup], price: float) -> bool:
+        """Whether any template's score, which is about what its fit gains, is more than its numbers cost."""
+        most = [(evidence.area * float(g.statistics(residual[:, None])[0].max()), len(g.one_sided)) for g in members]
+        return any(gain > size * price for gain, size in most)
+
     def decided(so_far: Bootstrap) -> bool:
-        return so_far.decides(scores, options.family_error)
+        if so_far.decides(scores, options.family_error):
+            return True
+        # on which side of the threshold an effect lies that would not be added is no question for more draws
+        price = evidence.price()
+        asked = {name: one for name, one in scores.items() if name not in groups or pays(groups[name], price)}
+        return so_far.decides(asked, options.family_error)
 
     boot = bootstrap(evidence, projection, groups, scan, options.draws, options.seed + number, progress, decided)
     dark = scan_dark(setup, other_rays, base, evidence, options.seed + number)
@@ -88,8 +99,12 @@ def _grouped(
     maker = TemplateMaker(base.scene, setup.device, other_rays, observations, evidence.modelled)
     # A fit without multiple bounces may have made the surface a poor mirror. Paths are invisible there, so their
     # templates are taken at the declared surface too.
-    unmoved = as_declared(scene, base.scene)
-    paths = TemplateMaker(unmoved, setup.device, other_rays, observations, evidence.modelled)
+    # a score sums over a template's pixels, and so hardly feels the noise of few rays
+    few = other_rays.thinned(FEW_RAYS)
+    paths = [
+        TemplateMaker(each, setup.device, few, observations, evidence.modelled)
+        for each in (base.scene, as_declared(scene, base.scene))
+    ]
     projection = projection_of(maker, setup, evidence)
     evidence = beside_fields(evidence, projection, seed)
     found: dict[str, list[TemplateGroup]] = {}
@@ -99,9 +114,8 @@ def _grouped(
         if get(name).last_resort or any(name in refused_with(material.model) for material in scene.materials.values()):
             found[name] = []
             continue
-        templates = maker.templates(name)
-        if get(name).stage == "path":
-            templates += paths.templates(name)
+        makers = paths if get(name).follows_rays else [maker]
+        templates = [one for each in makers for one in each.templates(name)]
         found[name] = group(templates, projection, evidence)
     return projection, evidence, found
 

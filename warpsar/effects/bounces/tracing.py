@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from hashlib import sha1
 from itertools import pairwise
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -37,6 +40,7 @@ _RECORD_BYTES = 260  # a record, its field, and the sort's keys and order, twice
 _SEGMENT = 64  # cells of one thread on CUDA
 _FEWEST_BANDS, _MOST_BANDS = 8, 64  # on the CPU, where there is memory for them
 _RAYS_OF_BAND = 100_000  # from so many on, a launch costs little beside them
+_MOST_KEPT = 2**22  # records of paths that are kept, about half a GiB
 _TOLD = 0.023  # of the rays that meet two surfaces: that many may go on after the last bounce, unsaid
 _MOST = 4  # bounces that a path may have
 _UNSURE = 0.12  # of a bright corner's power, half a decibel: rays are too few
@@ -98,8 +102,86 @@ class TracedPaths:
 def trace_paths(render: Recorder, max_bounces: int, cell_m: tuple[float, float] | None = None) -> TracedPaths:
     """Paths of 2, 3, ... `max_bounces` bounces, with the density and seed of the view's hits.
 
-    With `cell_m`, the size of a resolution cell (range, azimuth) [m], their fields are summed over cells too.
+    With `cell_m`, the size of a resolution cell (range, azimuth) [m], their fields are summed over cells too. Rays do
+    not know what a surface is made of: those of one mesh, view and grid are followed once, whoever asks.
     """
+    followed = _FOLLOWED.of(
+        _key(render, max_bounces, cell_m), render.stage.target.device, partial(_followed, render, max_bounces, cell_m)
+    )
+    found = [None if paths is None else BouncesOfOneNumber(paths) for paths in followed.paths]
+    if cell_m is not None:
+        hits, device = render.hits, render.stage.target.device
+        area = render.spacing_m[0] * render.spacing_m[1]
+        kinds, mirrors = _kinds(render)[0], _mirrors(render)
+        for traced, fields in zip(found, followed.shared, strict=True):
+            if traced is not None and fields is not None:
+                made, samples = samples_of(fields, kinds, mirrors, hits.grid.shape[1], area, device)
+                own: dict[str, Any] = {
+                    name: wp.array(made[name], dtype=dtype, device=device) for name, dtype in _ARRAYS.items()
+                }
+                paths = fill(kernels.PathRecords, **own)
+                bounces = len(traced.paths.bounces)
+                traced.coherent = CoherentPaths(_paths(paths, bounces, followed.rays, render.stage.target), samples)
+    return TracedPaths(found, list(followed.remarks), followed.without_cells)
+
+
+@dataclass(frozen=True)
+class _Followed:
+    """What rays have met: the `paths` of 2, 3, ... bounces, and their fields by sample where these were asked for."""
+
+    rays: RayGrid
+    paths: list[BouncePaths | None]
+    shared: list[SharedFields | None]
+    remarks: list[str]
+    without_cells: Callable[[], TracedPaths]
+
+    @property
+    def size(self) -> int:
+        """Records that are held."""
+        fields = sum(one.field.size + one.owner.size for one in self.shared if one is not None)
+        return 2 * sum(int(one.pixel.shape[0]) for one in self.paths if one is not None) + fields
+
+
+class _Kept:
+    """What was followed lately, by `_key`; the oldest goes first."""
+
+    def __init__(self) -> None:
+        self._kept: OrderedDict[Hashable, _Followed] = OrderedDict()
+        self._lock = Lock()
+
+    def of(self, key: Hashable, device: wp.Device, follow: Callable[[], _Followed]) -> _Followed:
+        """What `follow` finds, or has found."""
+        key = (str(device), key)
+        with self._lock:
+            if key in self._kept:
+                self._kept.move_to_end(key)
+                return self._kept[key]
+        found = follow()
+        with self._lock:
+            self._kept[key] = found
+            while sum(one.size for one in self._kept.values()) > _MOST_KEPT:
+                self._kept.popitem(last=False)
+        return found
+
+
+_FOLLOWED = _Kept()
+
+
+def _key(render: Recorder, max_bounces: int, cell_m: tuple[float, float] | None) -> Hashable:
+    """Everything that decides where rays go, and how their fields are added up."""
+    hits, target = render.hits, render.stage.target
+    geometry = hits.geometry
+    mesh = sha1(target.corners.tobytes())
+    mesh.update(target.corner_numbers.tobytes())
+    if cell_m is not None:
+        mesh.update(render.stage.face_material.numpy().tobytes())
+    axes = np.concatenate([geometry.d, geometry.u, geometry.v]).tobytes()
+    view = axes, geometry.wavenumber, geometry.slant_range_m, hits.grid, hits.rays_per_m2, hits.seed, render.spacing_m
+    return mesh.digest(), view, max_bounces, cell_m, None if cell_m is None else render.taper
+
+
+def _followed(render: Recorder, max_bounces: int, cell_m: tuple[float, float] | None) -> _Followed:
+    """Follow the rays of a view's grid."""
     hits, target = render.hits, render.stage.target
     # Rays that enter beside the image may leave inside: half of it on each side, and no farther than the mesh.
     grid = hits.grid
@@ -115,43 +197,34 @@ def trace_paths(render: Recorder, max_bounces: int, cell_m: tuple[float, float] 
         fill(Band, first_cell=begin, end_cell=min(begin + width, last), seed=hits.seed)
         for begin in range(first, last, width)
     ]
-    kinds, planes = _kinds(render)
-    followed = _followed(render, rays, planes, max_bounces)
-    tasks = [partial(_band, render, followed, cells, band) for band in bands]
+    planes = _kinds(render)[1]
+    sent = _path_rays(render, rays, planes, max_bounces)
+    tasks = [partial(_band, render, sent, cells, band) for band in bands]
     traced_bands = list(threads.ordered(tasks, target.device))
     plain = [_Traced([one and _Merged(one.records, None) for one in band.of], band.area) for band in traced_bands]
     shared: list[SharedFields | None] = [None] * (max_bounces - 1)
     error = 0.0
     if cell_m is not None:
         shared = _shared(traced_bands, max_bounces, grid, cell_m)
-        mirrors = _mirrors(render)
         cuts, error = _cuts(shared, planes, rays, bands)
         if cuts:
-            again = [partial(_band, render, followed, cells, bands[at], cut) for at, cut in cuts.items()]
+            again = [partial(_band, render, sent, cells, bands[at], cut) for at, cut in cuts.items()]
             finer = dict(zip(cuts, threads.ordered(again, target.device), strict=True))
             traced_bands = [finer.get(at, one) for at, one in enumerate(traced_bands)]
             shared = _shared(traced_bands, max_bounces, grid, cell_m)
-    found = _joined(traced_bands, max_bounces, rays, target)
-    for traced, fields in zip(found, shared, strict=True):
-        if traced is not None and fields is not None:
-            made, samples = samples_of(fields, kinds, mirrors, grid.shape[1], area, target.device)
-            own: dict[str, Any] = {
-                name: wp.array(made[name], dtype=dtype, device=target.device) for name, dtype in _ARRAYS.items()
-            }
-            bounces = len(traced.paths.bounces)
-            traced.coherent = CoherentPaths(_paths(fill(kernels.PathRecords, **own), bounces, rays, target), samples)
 
     def without_cells() -> TracedPaths:
-        return TracedPaths(_joined(plain, max_bounces, rays, target), _remarks(plain, max_bounces, 0.0), without_cells)
+        paths = _joined(plain, max_bounces, rays, target)
+        found = [None if one is None else BouncesOfOneNumber(one) for one in paths]
+        return TracedPaths(found, _remarks(plain, max_bounces, 0.0), without_cells)
 
-    return TracedPaths(found, _remarks(traced_bands, max_bounces, error), without_cells)
+    remarks = _remarks(traced_bands, max_bounces, error)
+    return _Followed(rays, _joined(traced_bands, max_bounces, rays, target), shared, remarks, without_cells)
 
 
-def _joined(
-    traced: Sequence[_Traced], max_bounces: int, rays: RayGrid, target: Target
-) -> list[BouncesOfOneNumber | None]:
+def _joined(traced: Sequence[_Traced], max_bounces: int, rays: RayGrid, target: Target) -> list[BouncePaths | None]:
     """The paths of all bands by number of bounces, two first; None where there are none."""
-    found: list[BouncesOfOneNumber | None] = []
+    found: list[BouncePaths | None] = []
     for index in range(max_bounces - 1):
         mine = [merged.records for one in traced if (merged := one.of[index]) is not None]
         if not mine:
@@ -161,7 +234,7 @@ def _joined(
             name: concatenate([getattr(one, name) for one in mine], dtype, target.device)
             for name, dtype in _ARRAYS.items()
         }
-        found.append(BouncesOfOneNumber(_paths(fill(kernels.PathRecords, **arrays), index + 2, rays, target)))
+        found.append(_paths(fill(kernels.PathRecords, **arrays), index + 2, rays, target))
     return found
 
 
@@ -278,7 +351,7 @@ class _Traced:
     area: NDArray[np.float32]
 
 
-def _followed(render: Recorder, rays: RayGrid, planes: NDArray[np.int64], max_bounces: int) -> Any:
+def _path_rays(render: Recorder, rays: RayGrid, planes: NDArray[np.int64], max_bounces: int) -> Any:
     """`kernels.PathRays` of a view."""
     target, grid = render.stage.target, render.hits.grid
     return fill(
