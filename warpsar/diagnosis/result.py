@@ -104,7 +104,7 @@ class Diagnosed:
 
     @property
     def unexplained(self) -> bool:
-        """Whether something is left that nothing found explains, or what was found does not pay on test views."""
+        """Whether something is left that nothing found explains, or test views speak against what was found."""
         return bool(self.reasons)
 
     @property
@@ -143,8 +143,8 @@ def diagnose(
 def judged(found: Diagnosis) -> Diagnosed:
     """Judge every turn's model on all views.
 
-    Whatever makes the test views worse is taken out of the answer, one after the other: it is `withdrawn`, and what it
-    was to explain is left unexplained.
+    What test views speak against is taken out of the answer, one after the other: it is `withdrawn`, and what it was to
+    explain is left unexplained.
     """
     judge_of = found.judge
     found = _without_what_hurts(found)
@@ -232,7 +232,7 @@ def _reasons(
     model, with what each of these holds for each view by itself fitted to them."""
     said = [f"{role} views: {one.words}" for role, one in verdicts.items() if one.wrong]
     if found.withdrawn:
-        said.append(f"{', '.join(found.withdrawn)} made the test views worse")
+        said.append(f"{', '.join(found.withdrawn)} held on train views, but the test views speak against it")
     if trial := [name for name in found.on_trial if name in found.held]:
         said.append(f"the time was over before it was asked whether {', '.join(trial)} holds")
     if found.unexplained and not said:
