@@ -13,7 +13,7 @@ from worlds import view
 from warpsar.diagnosis.found import DiagnoseOptions, Diagnosis
 from warpsar.diagnosis.models.judge import Judge
 from warpsar.diagnosis.models.refit import fit_model
-from warpsar.diagnosis.result import _told_by, judged
+from warpsar.diagnosis.result import _test_gain, judged
 from warpsar.diagnosis.scores.templates import with_effect
 from warpsar.diagnosis.search.procedure import diagnose_scene
 from warpsar.runtime import devices
@@ -109,7 +109,7 @@ def refuted(true_share: float, change: float, looks: float, draws: int = 100) ->
     for _ in range(draws):
         image = there * random.gamma(looks, 1.0 / looks, shape)
         pair = [comparison(image, mu, looks, name="v0", interior=interior) for mu in (plain, darker)]
-        found.append(_told_by([pair[0]], [pair[1]]).refuted)
+        found.append(_test_gain([pair[0]], [pair[1]]).refuted)
     return float(np.mean(found))
 
 

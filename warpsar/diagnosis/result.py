@@ -253,17 +253,17 @@ def _without_what_hurts(found: Diagnosis) -> Diagnosis:
     """
     judge_of, setup, withdrawn, kept = found.judge, replace(found.setup, bound=0.0), list[str](), found.final
 
-    def told(without: Fitted, with_it: Fitted) -> _Told:
-        return _told_by(*(judge_of.with_own_numbers(one.scene, edges=False) for one in (without, with_it)))
+    def gain_of(without: Fitted, with_it: Fitted) -> _TestGain:
+        return _test_gain(*(judge_of.with_own_numbers(one.scene, edges=False) for one in (without, with_it)))
 
     names = _withdrawable(found, kept)
     steps = [(found.declared, kept), *pairwise(fitted_models(found))]
-    if not names or not judge_of(kept.scene, "test", edges=False) or not any(told(*step).refuted for step in steps):
+    if not names or not judge_of(kept.scene, "test", edges=False) or not any(gain_of(*step).refuted for step in steps):
         return found
     while names:
         alone = len(_added(found, kept)) == 1
         without = [found.declared if alone else _without(setup, kept, found.scene, name) for name in names]
-        answers = [told(one, kept) for one in without]
+        answers = [gain_of(one, kept) for one in without]
         hurting = [k for k, one in enumerate(answers) if one.refuted]
         if not hurting:
             break
@@ -279,7 +279,7 @@ def _without_what_hurts(found: Diagnosis) -> Diagnosis:
 
 
 @dataclass(frozen=True)
-class _Told:
+class _TestGain:
     """Log-likelihood that a change of the model gains on images that decided nothing, what it would gain on average
     were it true, and how far it would then scatter."""
 
@@ -294,7 +294,7 @@ class _Told:
         return self.gain < min(-self.error, self.expected - REFUSES * self.error)
 
 
-def _told_by(before: Sequence[Comparison], after: Sequence[Comparison]) -> _Told:
+def _test_gain(before: Sequence[Comparison], after: Sequence[Comparison]) -> _TestGain:
     """What images say of a change of the model: of all usable pixels, shadows and edges among them, above a level that
     model and measurement share. Each pixel counts `LARGEST_DIFFERENCE` at most."""
     patches = []
@@ -314,7 +314,7 @@ def _told_by(before: Sequence[Comparison], after: Sequence[Comparison]) -> _Told
         scatter = np.minimum(np.sqrt(looks) * np.abs(two / one - 1.0), LARGEST_DIFFERENCE) * np.sign(two - one)
         shared = correlated(scatter[:, None], both, max(variance, 1.0) * correlation)[:, 0]
         gain, expected, square = gain + now.sum(), expected + then.sum(), square + scatter @ shared
-    return _Told(float(gain), float(expected), float(np.sqrt(max(square, 0.0))))
+    return _TestGain(float(gain), float(expected), float(np.sqrt(max(square, 0.0))))
 
 
 def _added(found: Diagnosis, fitted: Fitted) -> list[str]:
