@@ -39,7 +39,7 @@ from warpsar.diagnosis.scores.evidence import LARGEST, Evidence
 from warpsar.diagnosis.scores.score import TangentProjection, TemplateGroup, minus_log_p
 from warpsar.effects.registry import get, names
 from warpsar.speckle.scan import Scan
-from warpsar.speckle.tail import Tail
+from warpsar.speckle.tail import Tail, Tails
 
 KINDS = ("white", "correlated")
 FAMILY_ERROR = 0.01
@@ -175,7 +175,7 @@ class Turn:
     evidence: Evidence
     projection: TangentProjection
     groups: list[TemplateGroup]
-    tail: Tail
+    tail: Tail | Tails
 
     @classmethod
     def of(cls, noise_free: NoiseFree, name: str, base: Model, evidence: Evidence, decision: Decision) -> Turn:

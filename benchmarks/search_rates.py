@@ -198,7 +198,8 @@ def with_box(scene: Scene, size: np.ndarray, at: np.ndarray, turn: float) -> Sce
 
 def free_place(scene: Scene, random: np.random.Generator) -> np.ndarray:
     """A place on the ground, 5 m or more from every corner of a house and within the images."""
-    corners = scene.mesh.vertices[np.unique(np.concatenate([scene.mesh.faces[g] for g in scene.mesh.groups.values()]))]
+    mesh = scene.mesh
+    corners = mesh.vertices[np.unique(mesh.faces[mesh.face_material != mesh.materials.index("ground")])]
     while True:
         at = random.uniform(-16.0, 16.0, 2)
         if min(np.hypot(*(corners[:, :2] - at).T)) > 5.0:

@@ -11,8 +11,8 @@ from warpsar.diagnosis.scores.score import REACH, TangentProjection, TemplateGro
 from warpsar.diagnosis.scores.templates import Template
 from warpsar.effects.base.trial import ScoreStep, Trial
 from warpsar.speckle.draws import Speckle, _white
-from warpsar.speckle.scan import Scan
-from warpsar.speckle.tail import Tail
+from warpsar.speckle.scan import LIKELIHOOD, POWER, Scan, surest
+from warpsar.speckle.tail import Tail, Tails
 
 pytestmark = pytest.mark.unit
 
@@ -285,12 +285,16 @@ def test_scan_finds_a_planted_patch(size: int, height: float) -> None:
     scan = Scan(masks, WHITE)
     residual = np.zeros((40, 50))
     residual[20 : 20 + size, 30 : 30 + size] = height
-    spot = scan.strongest([np.zeros(900), residual[interior]])
+    spots, strength = scan.strongest([np.zeros(900), residual[interior]])
+    spot = spots[LIKELIHOOD]
     assert (spot.observation, spot.row, spot.col) == (1, 20 + size // 2, 30 + size // 2)
     assert spot.window == (size, size)
     assert spot.z == pytest.approx(height * size)  # size^2 pixels over the root of their number
     largest = scan.largest([np.zeros((900, 2)), np.stack([residual[interior]] * 2, axis=1)])
-    np.testing.assert_allclose(largest, abs(spot.z))
+    np.testing.assert_allclose(largest, np.stack([strength] * 2, axis=1))
+    assert strength[POWER] == pytest.approx(max(spot.z, 0.0))
+    factor, looks = max(1.0 + height / 4.0, 0.01), 16.0 * size**2
+    assert strength[LIKELIHOOD] == pytest.approx(np.sqrt(2.0 * looks * (factor - 1.0 - np.log(factor))))
 
 
 def test_pixels_that_measure_nothing_count_where_the_data_are_looked_at() -> None:
@@ -299,7 +303,7 @@ def test_pixels_that_measure_nothing_count_where_the_data_are_looked_at() -> Non
     interior[8:11, 4:7] = False
     silent = np.where(interior, 0.0, -4.0)
     scan = Scan([observation(interior)], WHITE, [silent])
-    spot = scan.strongest([np.zeros(int(interior.sum()))])
+    spot = scan.strongest([np.zeros(int(interior.sum()))])[0][LIKELIHOOD]
     assert (spot.row, spot.col, spot.window) == (9, 5, (3, 3))
     assert spot.z == pytest.approx(-12.0)
     assert scan.largest([np.zeros((int(interior.sum()), 2))]).max() == 0.0
@@ -318,7 +322,7 @@ def test_scan_windows_are_standard_normal_and_leave_thin_places_out() -> None:
         assert z[:, used].std() == pytest.approx(1.0, rel=0.03)
     alone = np.zeros(int(interior.sum()))
     alone[np.flatnonzero(np.flatnonzero(interior) == 4 * 30 + 20)] = 100.0
-    assert scan.strongest([alone]).z == 0.0
+    assert not scan.strongest([alone])[1].any()
 
 
 def test_scan_knows_that_speckle_is_correlated() -> None:
@@ -327,5 +331,32 @@ def test_scan_knows_that_speckle_is_correlated() -> None:
     wide[6, 5] = wide[6, 7] = 0.5
     residual = np.ones(900)
     seen = [observation(np.ones((30, 30), bool))]
-    ratio = Scan(seen, WHITE).strongest([residual]).z / Scan(seen, wide).strongest([residual]).z
+    white, correlated = (Scan(seen, each).strongest([residual])[1][POWER] for each in (WHITE, wide))
+    ratio = white / correlated
     assert ratio == pytest.approx(np.sqrt(2.0))
+
+
+def test_a_shadow_is_told_beside_bright_speckle_of_one_look() -> None:
+    """A square of 5 pixels without power, z = -5, is weaker than the bright spots of a hundred draws, and darker than
+    any of them: it is found, and speckle alone is not."""
+    scan = Scan([observation(np.ones((60, 60), bool), looks=1.0)], WHITE)
+    drawn = scan.largest([np.random.default_rng(5).exponential(size=(3600, 200)) - 1.0])
+    tails = Tails.of(drawn)
+    residual = np.random.default_rng(6).exponential(size=(60, 60)) - 1.0
+    assert surest(*scan.strongest([residual.ravel()]), tails)[1] < 4.0
+    residual[20:25, 30:35] = -1.0
+    assert drawn[0].max() > 5.0
+    spot, surprise = surest(*scan.strongest([residual.ravel()]), tails)
+    assert (spot.row, spot.col, spot.window) == (22, 32, (5, 5))
+    assert surprise > 12.0
+
+
+def test_several_statistics_are_one_question() -> None:
+    """-ln p of the most improbable of several is that of any so improbable: exponential, though their tails differ."""
+    random = np.random.default_rng(7)
+    scales = np.array([[1.0], [0.1], [30.0]])
+    tails = Tails.of(scales * random.exponential(size=(3, 1000)))
+    new = tails(scales * random.exponential(size=(3, 20000)))
+    for level in (1.0, 2.0, 4.0):
+        assert np.mean(new > level) == pytest.approx(np.exp(-level), rel=0.3)
+    assert tails.first([1.0, 0.5, 30.0]) == 1

@@ -31,9 +31,9 @@ from warpsar.speckle.facts import MATTERS, Scatter, SpeckleFact, speckle_fact
 from warpsar.speckle.law import Law
 from warpsar.speckle.likelihood import scaled_deviance
 from warpsar.speckle.own import Patch, own_autocovariance
-from warpsar.speckle.scan import Scan, Spot
+from warpsar.speckle.scan import Scan, Spot, surest
 from warpsar.speckle.scan import Window as Size
-from warpsar.speckle.tail import FIRST, SURE, Tail
+from warpsar.speckle.tail import FIRST, SURE, Tail, Tails
 
 ERROR_RATE = 0.005  # chance that a right model is called anything else
 SHARE = ERROR_RATE / 4  # of it, for each of windows, profiles, edges and level
@@ -199,7 +199,7 @@ def judge(images: Sequence[Comparison]) -> Judgement:
     profiles = Profiles(sample, shown * correlation, parts=share < 1.0)
     scan = Scan([_of_usable(image) for image in images], correlation, windows=SIZES)
     granted = 10.0 ** (WINDOW_DB / 10.0) - 1.0
-    spot = scan.strongest(
+    spots, strength = scan.strongest(
         [image.residual[image.usable] for image in images],
         [granted * (image.simulated / image.sd)[image.usable] for image in images],
     )
@@ -233,14 +233,15 @@ def judge(images: Sequence[Comparison]) -> Judgement:
     def decided(drawn: _Drawn) -> bool:
         """Whether more draws would change no finding."""
         limits = -np.log(SHARE * share), -np.log(SHARE)
-        tails = (drawn.windows, abs(spot.z)), (drawn.profiles, profile.surprise)
-        ends = [Tail.of(values).interval(value) for values, value in tails]
+        windows, lines = Tails.of(drawn.windows), Tail.of(drawn.profiles)
+        ends = windows.interval(strength), lines.interval(profile.surprise)
         sure = [low > limit or high < limit for limit, (low, high) in zip(limits, ends, strict=True)]
         away = np.sqrt(2.0) * erfcinv(SHARE)
         return all(sure) and abs(off(drawn)[0] / away - 1.0) > SURE / np.sqrt(2.0 * drawn.levels.size)
 
     drawn = _drawn(sample, profiles, correlation, shown, decided)
-    in_sample = min(np.exp(-float(Tail.of(drawn.windows)(abs(spot.z)))), 1.0 - 1e-9)
+    spot, surprise = surest(spots, strength, Tails.of(drawn.windows))
+    in_sample = min(np.exp(-surprise), 1.0 - 1e-9)
     p_window = float(-np.expm1(np.log1p(-in_sample) / share))
     p_profile = float(np.exp(-float(Tail.of(drawn.profiles)(profile.surprise))))
     level_off, error = off(drawn)
@@ -333,7 +334,8 @@ def _sample(images: Sequence[Comparison]) -> tuple[list[Comparison], float]:
 
 @dataclass(frozen=True)
 class _Drawn:
-    """Of draws of speckle, shape (draws,) each: strongest window, most surprising profile, mean deviance."""
+    """Of draws of speckle: the strongest windows (`Scan.largest`), shape (2, draws); the most surprising profile and
+    the mean deviance, shape (draws,)."""
 
     windows: np.ndarray
     profiles: np.ndarray
@@ -383,10 +385,14 @@ def _drawn(
     seeds = np.random.SeedSequence(SEED).spawn(-(-draws // size))
     first = min(-(-FIRST // size), len(seeds))
     batches = run(seeds[:first])
-    found = _Drawn(*map(np.concatenate, zip(*batches, strict=True)))
+    found = _joined(batches)
     if first == len(seeds) or decided(found):
         return found
-    return _Drawn(*map(np.concatenate, zip(*batches, *run(seeds[first:]), strict=True)))
+    return _joined([*batches, *run(seeds[first:])])
+
+
+def _joined(batches: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> _Drawn:
+    return _Drawn(*(np.concatenate(some, axis=-1) for some in zip(*batches, strict=True)))
 
 
 def _own_level(

@@ -214,7 +214,7 @@ class Diagnosis:
     scene file, fitted. `final` is the one with every added effect that holds. Both have the looks and texture that
     `speckle`, found about the declared model, names. `rivals`: other effects in the place of these. `objects`: what
     became of those that were changed, by name; `sensor`: the same of angles and spacings. `withdrawn`: effects that
-    held on the train views, but made the error on test views larger. `not_asked`: what a limit of time left out, in
+    held on the train views, but that test views speak against. `not_asked`: what a limit of time left out, in
     words; empty where the search came to its end. `on_trial`: what was added and, for want of time, never asked beside
     the others. `judge` compares models with all images."""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import pairwise
 from os import PathLike
 
 import numpy as np
@@ -16,12 +17,13 @@ from warpsar.compare.judgement import SHARE, Finding, Judgement, judge, speckle_
 from warpsar.compare.metrics import difference, likelihood_gain
 from warpsar.diagnosis.alternatives import Deciding, deciding
 from warpsar.diagnosis.established import not_established
-from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Diagnosis, EffectRival
+from warpsar.diagnosis.found import REFUSES, Candidate, DiagnoseOptions, Diagnosis, EffectRival
 from warpsar.diagnosis.left.place import ResidualPlace, place
 from warpsar.diagnosis.left.summary import Left, left_of
 from warpsar.diagnosis.models.change import changes, is_geometry
 from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.judge import under, with_speckle
+from warpsar.diagnosis.models.left_out import LARGEST_DIFFERENCE, clipped
 from warpsar.diagnosis.models.names import kind_of, object_of
 from warpsar.diagnosis.models.refit import Fitted, refit_without
 from warpsar.diagnosis.models.sensor import is_own_angle
@@ -31,7 +33,10 @@ from warpsar.diagnosis.search.procedure import diagnose_scene
 from warpsar.errors import refuse_kind
 from warpsar.runtime import devices, once
 from warpsar.scene.scene import Scene, scene_or_file
+from warpsar.speckle.covariance import correlated
 from warpsar.speckle.facts import SpeckleFact
+from warpsar.speckle.likelihood import loss_terms
+from warpsar.speckle.own import Patch, own_autocovariance
 from warpsar.speckle.scan import Spot
 
 OPEN = 1e-3  # chance that a surface which explains all views costs train views more likelihood than is allowed
@@ -99,7 +104,7 @@ class Diagnosed:
 
     @property
     def unexplained(self) -> bool:
-        """Whether something is left that nothing found explains, or what was found does not pay on test views."""
+        """Whether something is left that nothing found explains, or test views speak against what was found."""
         return bool(self.reasons)
 
     @property
@@ -138,8 +143,8 @@ def diagnose(
 def judged(found: Diagnosis) -> Diagnosed:
     """Judge every turn's model on all views.
 
-    Whatever makes the test views worse is taken out of the answer, one after the other: it is `withdrawn`, and what it
-    was to explain is left unexplained.
+    What test views speak against is taken out of the answer, one after the other: it is `withdrawn`, and what it was to
+    explain is left unexplained.
     """
     judge_of = found.judge
     found = _without_what_hurts(found)
@@ -227,58 +232,45 @@ def _reasons(
     model, with what each of these holds for each view by itself fitted to them."""
     said = [f"{role} views: {one.words}" for role, one in verdicts.items() if one.wrong]
     if found.withdrawn:
-        said.append(f"{', '.join(found.withdrawn)} made the test views worse")
+        said.append(f"{', '.join(found.withdrawn)} held on train views, but the test views speak against it")
     if trial := [name for name in found.on_trial if name in found.held]:
         said.append(f"the time was over before it was asked whether {', '.join(trial)} holds")
     if found.unexplained and not said:
         said.append("train views: the scan finds something that no effect explains")
-    # a train view's own angle moves no other image; the surface that follows it does, by next to nothing
-    acting = any(not is_own_angle(name) for name in _added(found, found.final))
-    if names and (unpaid := _unpaid(*tested, acting)):
-        said.append(f"{', '.join(names)} does not pay on test views: their {unpaid}")
+    before, after = tested
+    other_laws = any(a.seen.law != b.seen.law for a, b in zip(before, after, strict=True))
+    if names and other_laws and likelihood_gain(before, after) <= 0.0:
+        said.append(f"{', '.join(names)} does not pay on test views: their likelihood did not rise")
     return said
 
 
-def _unpaid(before: Sequence[Comparison], after: Sequence[Comparison], with_effects: bool) -> str:
-    """What did not get better on images that were changed; empty where it did, or nothing was changed: looks of train
-    views change test views through the surface alone, and that does not count."""
-    pairs = list(zip(before, after, strict=True))
-    if any(a.seen.law != b.seen.law for a, b in pairs):
-        return "" if likelihood_gain(before, after) > 0.0 else "likelihood did not rise"
-    touched = with_effects and any(not np.array_equal(a.simulated, b.simulated) for a, b in pairs)
-    gained = difference(before, after) if touched else None
-    if gained is None or gained[0] > 0.0:
-        return ""
-    # a noise floor leaves lit pixels as they were: shadows, of which the deviance knows nothing, decide then
-    in_shadows = gained[0] >= -gained[1] and _without_power(after) < _without_power(before)
-    return "" if in_shadows else "deviance did not fall"
-
-
-def _without_power(images: Sequence[Comparison]) -> int:
-    """Pixels that measure power where the model has none."""
-    return sum(int(((image.simulated <= 0.0) & (image.seen.measured > 0.0))[image.usable].sum()) for image in images)
-
-
 def _without_what_hurts(found: Diagnosis) -> Diagnosis:
-    """The diagnosis without what makes the error on test views larger, by more than the standard error of the rise.
+    """The diagnosis without what test views speak against.
 
-    What hurts most goes first, and the rest is fitted and judged again. A train view's own angle moves no other image:
-    what the surface that follows it changes there is chance.
+    A name is asked beside all the others, and only where a step from one turn's model to the next, or all steps
+    together, are refuted. What hurts most goes first, and the rest is fitted and judged again. A train view's own angle
+    moves no other image: what the surface that follows it changes there is chance.
     """
     judge_of, setup, withdrawn, kept = found.judge, replace(found.setup, bound=0.0), list[str](), found.final
-    before = judge_of.with_own_numbers(found.declared.scene, edges=False)
 
-    def gained(fitted: Fitted) -> tuple[float, float]:
-        return difference(before, judge_of.with_own_numbers(fitted.scene, edges=False)) or (0.0, 0.0)
+    def gain_of(without: Fitted, with_it: Fitted) -> _TestGain:
+        return _test_gain(*(judge_of.with_own_numbers(one.scene, edges=False) for one in (without, with_it)))
 
-    while before and (names := [name for name in _added(found, kept) if not is_own_angle(name)]):
-        gain, error = gained(kept)
-        if gain >= -error:
+    names = _withdrawable(found, kept)
+    steps = [(found.declared, kept), *pairwise(fitted_models(found))]
+    if not names or not judge_of(kept.scene, "test", edges=False) or not any(gain_of(*step).refuted for step in steps):
+        return found
+    while names:
+        alone = len(_added(found, kept)) == 1
+        without = [found.declared if alone else _without(setup, kept, found.scene, name) for name in names]
+        answers = [gain_of(one, kept) for one in without]
+        hurting = [k for k, one in enumerate(answers) if one.refuted]
+        if not hurting:
             break
-        without = [_without(setup, kept, found.scene, name) for name in names]
-        best = max(range(len(names)), key=lambda k: gained(without[k])[0])
-        withdrawn.append(names[best])
-        kept = without[best] if len(_added(found, kept)) > 1 else found.declared
+        worst = min(hurting, key=lambda k: answers[k].gain)
+        withdrawn.append(names[worst])
+        kept = without[worst]
+        names = _withdrawable(found, kept)
     if not withdrawn:
         return found
     objects = {name: one for name, one in found.objects.items() if name not in map(object_of, withdrawn)}
@@ -286,10 +278,53 @@ def _without_what_hurts(found: Diagnosis) -> Diagnosis:
     return replace(found, final=kept, withdrawn=plain, unexplained=True, objects=objects)
 
 
+@dataclass(frozen=True)
+class _TestGain:
+    """Log-likelihood that a change of the model gains on images that decided nothing, what it would gain on average
+    were it true, and how far it would then scatter."""
+
+    gain: float
+    expected: float
+    error: float
+
+    @property
+    def refuted(self) -> bool:
+        """Whether it loses more than it scatters by, and a true change would lose as much in a hundredth of all cases.
+        Images that it does not change lose as much by chance in a hundredth, too."""
+        return self.gain < min(-self.error, self.expected - REFUSES * self.error)
+
+
+def _test_gain(before: Sequence[Comparison], after: Sequence[Comparison]) -> _TestGain:
+    """What images say of a change of the model: of all usable pixels, shadows and edges among them, above a level that
+    model and measurement share. Each pixel counts `LARGEST_DIFFERENCE` at most."""
+    patches = []
+    for a in before:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = np.where(a.interior, a.measured / a.simulated, 1.0)
+        patches.append(Patch(a.interior, ratio, a.seen.law))
+    correlation, variance = own_autocovariance(patches)
+    gain = expected = square = 0.0
+    for a, b in zip(before, after, strict=True):
+        both, level, looks = a.usable & b.usable & np.isfinite(a.measured), max(a.level, b.level), a.seen.looks
+        measured, one, two = (image[both].astype(float) + level for image in (a.measured, a.simulated, b.simulated))
+        now, then = (
+            clipped(loss_terms("gamma", power, one, looks) - loss_terms("gamma", power, two, looks))
+            for power in (measured, two)
+        )
+        scatter = np.minimum(np.sqrt(looks) * np.abs(two / one - 1.0), LARGEST_DIFFERENCE) * np.sign(two - one)
+        shared = correlated(scatter[:, None], both, max(variance, 1.0) * correlation)[:, 0]
+        gain, expected, square = gain + now.sum(), expected + then.sum(), square + scatter @ shared
+    return _TestGain(float(gain), float(expected), float(np.sqrt(max(square, 0.0))))
+
+
 def _added(found: Diagnosis, fitted: Fitted) -> list[str]:
     """Effects that the scene does not declare, and changes of its geometry."""
     effects = [name for name in fitted.scene.effects if name not in found.scene.effects]
     return [*effects, *changes(found.scene, fitted.scene)]
+
+
+def _withdrawable(found: Diagnosis, fitted: Fitted) -> list[str]:
+    return [name for name in _added(found, fitted) if not is_own_angle(name)]
 
 
 def _without(setup: FitSetup, fitted: Fitted, declared: Scene, name: str) -> Fitted:

@@ -11,7 +11,7 @@ import numpy as np
 from warpsar.runtime import threads
 from warpsar.speckle.compared import ComparedPixels
 from warpsar.speckle.draws import Speckle
-from warpsar.speckle.scan import Scan
+from warpsar.speckle.scan import POWER, Scan
 from warpsar.speckle.tail import Tail
 
 SHORTEST = 8  # pixels of a row or a column that is judged
@@ -50,7 +50,7 @@ class Lines:
         def drawn(sequence: np.random.SeedSequence) -> np.ndarray:
             limit = np.float32(largest)
             parts = self._split(np.clip(speckle(np.random.default_rng(sequence), BATCH), -limit, limit))
-            most = [scan.largest(parts)]
+            most = [scan.largest(parts)[POWER]]
             for image, part in zip(self.images, parts, strict=True):
                 most += [np.abs(z).max(axis=0) for z in self._lines(image, part) if z.size]
             return np.asarray(np.max(most, axis=0))
@@ -61,7 +61,7 @@ class Lines:
     def strongest(self, residuals: Sequence[np.ndarray]) -> StrongestLine:
         """The strongest of all; `residuals` are those of all images, an array (pixels,) each."""
         parts = [residuals[k] for k in self.numbers]
-        spot = self._scan().strongest(parts)
+        spot = self._scan().strongest(parts)[0][POWER]
         rows, cols = (
             (at - size // 2, at + size // 2 + 1) for at, size in zip((spot.row, spot.col), spot.window, strict=True)
         )

@@ -1,4 +1,12 @@
-"""Whether something is left beside speckle, and where: the residual's largest mean over small windows."""
+"""Whether something is left beside speckle, and where: the residual's largest mean over small windows.
+
+Speckle of few looks is far-tailed upwards and bounded downwards, and a small window keeps that. Next to the bright
+spots of speckle a shadow is nothing. So two questions are asked, and each is judged by its own distribution
+(`tail.Tails`). `POWER`: which window is the brightest, by its mean. `LIKELIHOOD`: which one is the least likely, bright
+or dark, by the signed root of its likelihood ratio: of 2 k (f - 1 - ln f), for a window of k looks in all and f times
+the power (Kulldorff, Communications in Statistics 26, 1997, for a law of counts). Under speckle that is nearly normal,
+whatever the size and the looks.
+"""
 
 from __future__ import annotations
 
@@ -9,12 +17,15 @@ from typing import Any
 import numpy as np
 
 from warpsar.speckle.compared import ComparedPixels
+from warpsar.speckle.tail import Tails
 
 Window = tuple[int, int]
 """Rows and columns of pixels."""
 
 WINDOWS: tuple[Window, ...] = ((3, 3), (5, 5), (9, 9))
 CACHED = 5  # draws at once: their images stay in the cache
+POWER, LIKELIHOOD = 0, 1  # what is asked of windows
+LEAST_RATIO = 1e-2  # of power: a pixel that is 0 lies a hair beyond all that are nearly 0
 FULL = 0.5  # share of a window that must be compared pixels
 
 
@@ -54,6 +65,7 @@ class Scan:
         self.silent = [np.zeros(mask.shape) for mask in self.masks] if silent is None else silent
         self.boxes, self.scales = [], []
         inflation = max(float(autocovariance.sum()), 1e-3)
+        self.looks = [[seen.looks * r * c / inflation for r, c in self.windows] for seen in observations]
         for mask, zeros in zip(self.masks, self.silent, strict=True):
             every = mask | (zeros != 0)
             rows, cols = np.nonzero(every)
@@ -80,34 +92,55 @@ class Scan:
         return windows
 
     def largest(self, parts: Sequence[np.ndarray]) -> np.ndarray:
-        """Largest |z| over all windows of each draw, shape (draws,); `parts`: (pixels, draws) per observation."""
-        found = np.zeros(parts[0].shape[1])
+        """The largest answer to each question of each draw, shape (2, draws); `parts`: (pixels, draws) per
+        observation."""
+        found = np.zeros((2, parts[0].shape[1]))
         for i, part in enumerate(parts):
-            for first in range(0, found.size, CACHED):
+            for first in range(0, found.shape[1], CACHED):
                 some = slice(first, first + CACHED)
-                for z in self._windows(i, part[:, some]):
-                    ends = z.max(axis=(1, 2)), -z.min(axis=(1, 2))
-                    found[some] = np.maximum(found[some], np.maximum(*ends))
+                for z, looks in zip(self._windows(i, part[:, some]), self.looks[i], strict=True):
+                    high, low = z.max(axis=(1, 2)), z.min(axis=(1, 2))
+                    unlikely = np.maximum(_root(high, looks), -_root(low, looks))
+                    found[:, some] = np.maximum(found[:, some], [high, unlikely])
         return found
 
-    def strongest(self, parts: Sequence[np.ndarray], granted: Sequence[np.ndarray] | None = None) -> Spot:
-        """The strongest window of one residual, an array (pixels,) per observation.
+    def strongest(
+        self, parts: Sequence[np.ndarray], granted: Sequence[np.ndarray] | None = None
+    ) -> tuple[list[Spot], np.ndarray]:
+        """The answer to each question for one residual, an array (pixels,) per observation: the window and, shape (2,),
+        what `largest` says of it.
 
         `granted`, of the same shapes: a residual that is granted either way. A window's z is less by what it makes
         there, and 0 where that is more.
         """
-        best = Spot(0.0, 0, 0, 0, self.windows[0])
+        best, most = [Spot(0.0, 0, 0, 0, self.windows[0])] * 2, np.zeros(2)
         for index, part in enumerate(parts):
             found = self._windows(index, part[:, None], silent=True)
             less = [np.zeros(1)] * len(found) if granted is None else self._windows(index, granted[index][:, None])
-            for window, z, free in zip(self.windows, found, less, strict=True):
+            for window, z, free, looks in zip(self.windows, found, less, self.looks[index], strict=True):
                 z = np.sign(z[0]) * np.maximum(np.abs(z[0]) - free[0], 0.0)
-                row, col = np.unravel_index(int(np.argmax(np.abs(z))), z.shape)
-                if abs(z[row, col]) > abs(best.z):
-                    box = self.boxes[index]
-                    place = (int(row + box[0].start), int(col + box[1].start))
-                    best = Spot(float(z[row, col]), index, *place, window)
-        return best
+                for question, at, value in (
+                    (POWER, z.argmax(), z.max()),
+                    (LIKELIHOOD, z.argmax(), _root(z.max(), looks)),
+                    (LIKELIHOOD, z.argmin(), -_root(z.min(), looks)),
+                ):
+                    if value > most[question]:
+                        row, col = np.unravel_index(int(at), z.shape)
+                        box = self.boxes[index]
+                        place = (int(row + box[0].start), int(col + box[1].start))
+                        best[question], most[question] = Spot(float(z[row, col]), index, *place, window), value
+        return best, most
+
+
+def _root(z: np.ndarray, looks: float) -> np.ndarray:
+    """The signed root of the likelihood ratio of windows of so many looks, from their z."""
+    factor = np.maximum(1.0 + z / np.sqrt(looks), LEAST_RATIO)
+    return np.asarray(np.sign(z) * np.sqrt(2.0 * looks * np.maximum(factor - 1.0 - np.log(factor), 0.0)))
+
+
+def surest(spots: Sequence[Spot], values: np.ndarray, tails: Tails) -> tuple[Spot, float]:
+    """Of the `Scan.strongest` windows the most improbable, by draws of speckle, and -ln p of any so improbable."""
+    return spots[tails.first(values)], float(tails(values))
 
 
 def _sums(grids: np.ndarray, windows: Sequence[Window]) -> list[np.ndarray]:

@@ -6,6 +6,7 @@ stages: the second is left out where the first has decided (Besag and Clifford, 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,3 +60,41 @@ class Tail:
         empirical = -np.log(np.maximum((above + 1.0) / (self.body.size + 1.0), TAIL))
         beyond = -np.log(TAIL) + (values - self.edge) / self.scale
         return np.where(values > self.edge, beyond, np.minimum(empirical, -np.log(TAIL)))
+
+
+@dataclass(frozen=True)
+class Tails:
+    """-ln of the probability that speckle alone has anything so improbable among several statistics.
+
+    Each statistic counts by its own tail, so that none with a far tail hides another one. `together`: of the most
+    improbable one of each draw.
+    """
+
+    each: Sequence[Tail]
+    together: Tail
+
+    @classmethod
+    def of(cls, draws: np.ndarray) -> Tails:
+        """`draws`: shape (statistics, draws)."""
+        each = [Tail.of(some) for some in draws]
+        return cls(each, Tail.of(_largest(each, draws)))
+
+    def first(self, values: npt.ArrayLike) -> int:
+        """Which of the statistics, shape (statistics,), is the most improbable; of several beyond doubt, the first."""
+        return int(np.argmax([tail(value) for tail, value in zip(self.each, np.asarray(values), strict=True)]))
+
+    def interval(self, values: npt.ArrayLike) -> tuple[float, float]:
+        """Between which -ln p of values, shape (statistics,), lies: as of a `Tail`, by its error and the one of
+        `together`."""
+        k = self.first(values)
+        low, high = self.each[k].interval(float(np.asarray(values)[k]))
+        return self.together.interval(low)[0], self.together.interval(high)[1]
+
+    def __call__(self, values: npt.ArrayLike) -> np.ndarray:
+        """-ln p of values of shape (statistics, ...), shape (...)."""
+        return self.together(_largest(self.each, np.asarray(values, float)))
+
+
+def _largest(tails: Sequence[Tail], values: np.ndarray) -> np.ndarray:
+    """The largest -ln p over the statistics of values of shape (statistics, ...), shape (...)."""
+    return np.asarray(np.max([tail(value) for tail, value in zip(tails, values, strict=True)], axis=0))

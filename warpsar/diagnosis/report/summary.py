@@ -163,8 +163,8 @@ def _verdict(done: Diagnosed, content: dict[str, Any]) -> list[str]:
     ]
     if found.withdrawn:
         said.append(
-            f"Tried, and not the answer: {', '.join(found.withdrawn)}. Added, it holds on the train views, but it made "
-            "the error on test views larger. So the declared model stands."
+            f"Tried, and not the answer: {', '.join(found.withdrawn)}. Added, it holds on the train views, but the "
+            "test views speak against it."
         )
     said += [
         f"Tried, and taken back: {name}. {why[0].upper()}{why[1:]}."

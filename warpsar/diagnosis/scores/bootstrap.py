@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from warpsar.runtime import once, threads
 from warpsar.runtime.deadline import check
 from warpsar.speckle.draws import Speckle
 from warpsar.speckle.scan import Scan
-from warpsar.speckle.tail import FIRST, SURE, Tail
+from warpsar.speckle.tail import FIRST, SURE, Tail, Tails
 
 BATCH = 25  # draws at once; fixed, so that the numbers do not depend on the threads
 BEHIND = 0.5  # of the best score, below which it does not matter on which side of the threshold another one is
@@ -22,10 +23,10 @@ BEHIND = 0.5  # of the best score, below which it does not matter on which side 
 
 @dataclass(frozen=True)
 class Bootstrap:
-    """Calibrated scores. `tails`: per effect, and "scan" among them, of its largest score; every one so counts alike,
+    """Calibrated scores. `tails`: per effect of its largest score, and of the "scan"; every one so counts alike,
     however many trials it has. `largest`: the largest -ln p of every draw over all of them, sorted."""
 
-    tails: Mapping[str, Tail]
+    tails: Mapping[str, Tail | Tails]
     largest: np.ndarray
 
     @property
@@ -37,8 +38,9 @@ class Bootstrap:
         """What any of them must exceed, in calibrated -ln p, at the family's error rate."""
         return Tail.of(self.largest).value(-np.log(family_error))
 
-    def decides(self, scores: Mapping[str, float], family_error: float) -> bool:
-        """Whether more draws would put no score, by name and not calibrated, on the other side of the threshold.
+    def decides(self, scores: Mapping[str, Any], family_error: float) -> bool:
+        """Whether more draws would put no score, by name and not calibrated, on the other side of the threshold; that
+        of the scan has one for each of its questions.
 
         A score below `BEHIND` of the best needs no side: what is added on trial comes first, and it is scored again.
         """
@@ -98,8 +100,8 @@ def bootstrap(
         return once.share([partial(batch, sequence) for sequence in some], run=threads.in_threads)
 
     def calibrated(batches: Sequence[Mapping[str, np.ndarray]]) -> Bootstrap:
-        scores = {name: np.concatenate([b[name] for b in batches])[:draws] for name in batches[0]}
-        tails = {name: Tail.of(values) for name, values in scores.items()}
+        scores = {name: np.concatenate([b[name] for b in batches], axis=-1)[..., :draws] for name in batches[0]}
+        tails = {name: (Tail if values.ndim == 1 else Tails).of(values) for name, values in scores.items()}
         return Bootstrap(tails, np.sort(np.max([tails[name](values) for name, values in scores.items()], axis=0)))
 
     first = len(seeds) if decided is None else min(FIRST // BATCH, len(seeds))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -23,7 +23,8 @@ from warpsar.learning.pose import FEW_RAYS
 from warpsar.runtime import once
 from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import Rays
-from warpsar.speckle.scan import Scan
+from warpsar.speckle.scan import Scan, surest
+from warpsar.speckle.tail import Tails
 
 CLASS_COSINE = 0.9  # templates closer than this are one class: the data hardly tell them apart
 
@@ -49,9 +50,11 @@ def score_effects(
     groups = {name: found[name] for name in testable}
     scan = Scan(evidence.observations, evidence.autocovariance, evidence.silent)
     residual = projection(evidence.standardised, projection.known.residual)
-    spot = scan.strongest(evidence.split(evidence.standardised))
-    scores = {name: max(float(g.largest(residual[:, None])[0]) for g in members) for name, members in groups.items()}
-    scores["scan"] = abs(spot.z)
+    spots, strength = scan.strongest(evidence.split(evidence.standardised))
+    scores: dict[str, Any] = {
+        name: max(float(g.largest(residual[:, None])[0]) for g in members) for name, members in groups.items()
+    }
+    scores["scan"] = strength
 
     def pays(members: list[TemplateGroup], price: float) -> bool:
         """Whether any template's score, which is about what its fit gains, is more than its numbers cost."""
@@ -73,7 +76,7 @@ def score_effects(
     best = {name: [t for one in found[name] for t in one.templates] for name in found if get(name).additive}
     best |= _score(candidates, groups, projection, residual, boot)
     bar_those_alone(list(candidates.values()), boot.threshold(options.family_error))
-    scanned = float(boot.tails["scan"](abs(spot.z)))
+    spot, scanned = surest(spots, strength, cast(Tails, boot.tails["scan"]))
     turn = Turn(
         list(candidates.values()),
         None,
