@@ -54,6 +54,7 @@ class EdgeDiffraction(Effect):
     order = 20
     needs_all_hits = True
     summary = "lines along sharp edges"
+    term = "edges"
     in_place = "edges in radar.terms"
     example: ClassVar[dict[str, Any]] = {"strength": 3.0}
     rate_case: ClassVar[dict[str, Any]] = {"strength": 3.0}

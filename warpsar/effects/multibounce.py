@@ -42,6 +42,7 @@ class Multibounce(Effect):
     follows_rays = True
     needs_all_hits = True
     summary = "double and triple bounces between surfaces"
+    term = "multibounce"
     in_place = "multibounce in radar.terms"
     example: ClassVar[dict[str, Any]] = {"strength": 1.0}
     rate_case: ClassVar[dict[str, Any]] = {"strength": 1.0}

@@ -41,6 +41,7 @@ class Saturation(Effect):
     name = "saturation"
     stage = "image"
     acts_on = ("beta0", "slc")
+    of_numbers = True
     in_place = "--product slc: it compresses the samples of an image"
     order = 50
     needs_all_hits = True

@@ -139,6 +139,9 @@ class UnresolvedDetail(Effect):
             return f".materials: found {', '.join(unknown)}; allowed are {', '.join(scene.mesh.materials)}"
         return None
 
+    def spread_m(self, table: Mapping[str, Any]) -> float:
+        return float(table.get("spread_m", 0.0))
+
     def parts(self, image: SeenImage, table: Mapping[str, Any]) -> Mapping[str, np.ndarray]:
         """It is all over the body."""
         return image.halves()

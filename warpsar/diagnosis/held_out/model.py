@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import warp as wp
 
-from warpsar.compare.aim import Reach, aimed_deviance, best_shift, stated_aims
-from warpsar.compare.prediction import PredictedImage, compared, measured_of, predicted, with_aim_points
+from warpsar.compare.aim import Reach, aimed, aimed_deviance, best_shift, stated_aims, with_aims
+from warpsar.compare.prediction import PredictedImage, compared, measured_of, predicted
 from warpsar.compare.rivals import Seen
 from warpsar.diagnosis.models.refit import standing_at
 from warpsar.learning.geometry import still
@@ -104,7 +104,7 @@ class TrainViews:
         }
         window = self.reach.window(np.empty(scene.grid.shape)).shape
         shape = tuple(n - 2 * round(0.5 * (1.0 - FITTED) * n) for n in window)
-        found = self._aimed(scene) if "aim_point" in scene.effects else scene
+        found = self._aimed(scene) if aimed(scene) else scene
         grid = scene.grid.model_copy(update={"shape": shape})
         self.scene = replace(found, views=[self._cut(view, shape) for view in scene.views], grid=grid)
 
@@ -116,7 +116,7 @@ class TrainViews:
         for view, image in zip(views, predicted(scene, views, self.device), strict=True):
             pol = next(iter(view.images))
             shifts[view.name] = best_shift(self._measured[view.name, pol], image[pol], self.reach)[1]
-        return with_aim_points(scene, shifts)
+        return with_aims(scene, shifts)
 
     def _cut(self, view: View, shape: tuple[int, ...]) -> View:
         """The view with the middle of its images; a test view without any."""

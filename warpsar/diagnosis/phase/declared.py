@@ -54,6 +54,11 @@ class PhaseAsked:
         return self.motion is not None and self.motion.outcome == "named"
 
     @property
+    def cause(self) -> str:
+        """What a verdict calls it."""
+        return MOTION_ERROR if self.moved else EFFECT
+
+    @property
     def words(self) -> str:
         """One or two sentences."""
         said = self._of_phase()
@@ -197,5 +202,5 @@ def with_phase_errors(scene: Scene, found: list[PhaseAsked]) -> Scene:
 
 def named_in(found: list[PhaseAsked]) -> list[str]:
     """For the verdict: what any view has."""
-    both = {EFFECT: any(one.named and not one.moved for one in found), MOTION_ERROR: any(one.moved for one in found)}
-    return [name for name, there in both.items() if there]
+    causes = {one.cause for one in found if one.named}
+    return [name for name in (EFFECT, MOTION_ERROR) if name in causes]

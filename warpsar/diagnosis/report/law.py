@@ -5,21 +5,21 @@ from __future__ import annotations
 import numpy as np
 
 from warpsar.diagnosis.result import Diagnosed
-from warpsar.effects.learned_scattering import CHANNELS, shape_db
+from warpsar.effects.registry import get
 from warpsar.io import html as report
 from warpsar.io.figures import new
 
 
 def law_section(done: Diagnosed) -> list[str]:
     """A section, or none where no law was learned."""
-    table = done.diagnosis.final.scene.effects.get("learned_scattering")
-    if table is None:
+    incidence = np.linspace(0.0, 90.0, 181)
+    effects = done.diagnosis.final.scene.effects
+    laws = [law for name, table in effects.items() if (law := get(name).law_db(table, incidence))]
+    if not laws:
         return []
     figure, axes = new(6.0, 3.4)
-    incidence = np.linspace(0.0, 90.0, 181)
-    for channel in CHANNELS:
-        if any(key.startswith(f"{channel.lower()}_") for key in table):
-            axes.plot(incidence, shape_db(table, channel, incidence), label=channel)
+    for channel, factor in laws[0].items():
+        axes.plot(incidence, factor, label=channel)
     axes.set(xlabel="local incidence [deg]", ylabel="learned factor on sigma0 [dB]", xlim=(0.0, 90.0))
     axes.axhline(0.0, color="0.6", linewidth=0.8)
     axes.legend()

@@ -80,7 +80,7 @@ def _phase_section(found: Sequence[PhaseAsked]) -> list[str]:
 
 def _phase_sentence(found: Sequence[PhaseAsked]) -> str:
     """For the head of the page; empty where nothing was named."""
-    named = [f"{one.view} ({'motion_error' if one.moved else 'phase_error'})" for one in found if one.named]
+    named = [f"{one.view} ({one.cause})" for one in found if one.named]
     return f"The phase over slow time is wrong in {', '.join(named)}. " if named else ""
 
 
