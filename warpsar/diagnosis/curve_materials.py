@@ -17,6 +17,7 @@ from warpsar.curves.lids import lids
 from warpsar.curves.materials import MODEL, Kind, MaterialHypothesis, MaterialTest, ask_materials, opened
 from warpsar.curves.observe import observe
 from warpsar.curves.observed import ObservedCurve
+from warpsar.curves.search import CANDIDATES, DECLARED
 from warpsar.runtime import console
 from warpsar.scene.scene import Scene
 from warpsar.world.frame import SPEED_OF_LIGHT
@@ -26,7 +27,7 @@ SOLIDS = (2.0, 2.5, 3.0, 4.0, 6.0)
 """Permittivities of a solid that is tried: foam is below them, ceramics are above."""
 LOSS_TANGENT = 0.03
 """Of a solid that is tried: of resins and plastics, 0.005 to 0.05. One value, since curves hardly tell it apart."""
-TERMS = ("single", "edges", "multibounce")
+TERMS = (*DECLARED, *CANDIDATES.values())
 """Of every hypothesis, whatever is declared: physics has them all. `diagnosis.curves` then asks which of them show."""
 SHARES = (0.25, 0.5, 0.75, 1.0)
 """Of a flat part, which an opening may take."""
