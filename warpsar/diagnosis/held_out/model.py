@@ -7,6 +7,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -14,7 +15,8 @@ import warp as wp
 from warpsar.compare.aim import Reach, aimed, aimed_deviance, best_shift, stated_aims, with_aims
 from warpsar.compare.prediction import PredictedImage, compared, measured_of, predicted
 from warpsar.compare.rivals import Seen
-from warpsar.diagnosis.models.refit import standing_at
+from warpsar.diagnosis.models.change import content, scene_with
+from warpsar.diagnosis.models.refit import standing_at, surface_content, with_surface
 from warpsar.learning.geometry import still
 from warpsar.learning.optimise import levenberg_marquardt
 from warpsar.learning.problem import FitProblem
@@ -170,3 +172,23 @@ class TrainViews:
             for now, was in zip(scene.views, self.whole.views, strict=True)
         ]
         return replace(scene, grid=self.whole.grid, views=views)
+
+
+# ---- scenes in JSON's types, for the checkpoint of a search
+
+
+def scene_content(declared: Scene, scene: Scene) -> dict[str, Any]:
+    """What a search may change of a scene: surface, effects, geometry, and the seed of its rays."""
+    return {
+        "materials": surface_content(scene),
+        "effects": scene.effects,
+        "geometry": content(declared, scene),
+        "seed": scene.sampling.seed,
+    }
+
+
+def scene_of(declared: Scene, about: Mapping[str, Any]) -> Scene:
+    """The scene that `scene_content` gave."""
+    placed = scene_with(declared, replace(declared, effects=about["effects"]), about["geometry"])
+    sampling = placed.sampling.model_copy(update={"seed": about["seed"]})
+    return with_surface(replace(placed, sampling=sampling), about["materials"])

@@ -39,10 +39,11 @@ from warpsar.diagnosis.held_out.geometry import (
     turned,
 )
 from warpsar.diagnosis.held_out.hypotheses import EffectHypothesis, hypotheses, level_of
-from warpsar.diagnosis.held_out.kept import scene_content, scene_of
 from warpsar.diagnosis.held_out.model import (
     FitRays,
     TrainViews,
+    scene_content,
+    scene_of,
     with_other_rays,
 )
 from warpsar.diagnosis.models.change import as_declared
