@@ -28,7 +28,7 @@ class Stuff:
 
 
 @wp.struct
-class Radar:
+class RadarWaves:
     """Wavenumber [rad/m], and the directions of H and V at the reference point."""
 
     wavenumber: float
@@ -68,7 +68,7 @@ def smooth(face: Face) -> Face:
 
 
 @wp.func
-def polarized(radar: Radar, direction: wp.vec3, vertical: int) -> wp.vec3:
+def polarized(radar: RadarWaves, direction: wp.vec3, vertical: int) -> wp.vec3:
     """The radar's H, or its V across a ray."""
     if vertical == 0:
         return radar.u
@@ -86,7 +86,7 @@ def field_of(arriving: Arriving, i: int) -> Field:
 @wp.kernel(enable_backward=False)
 def incident_kernel(
     # In:
-    radar: Radar,
+    radar: RadarWaves,
     arrival: wp.array(dtype=wp.vec3),
     vertical: int,
     # Out:
@@ -99,7 +99,7 @@ def incident_kernel(
 @wp.kernel
 def reflect_kernel(
     # In:
-    radar: Radar,
+    radar: RadarWaves,
     bounce: Bounce,
     stuff: Stuff,
     zeta: wp.array(dtype=wp.vec4),
@@ -122,7 +122,7 @@ def reflect_kernel(
 @wp.kernel
 def radiate_kernel(
     # In:
-    radar: Radar,
+    radar: RadarWaves,
     vertical: int,
     bounce: Bounce,
     home: wp.array(dtype=wp.vec3),
@@ -186,7 +186,7 @@ def cell_power_kernel(
 def diffuse_kernel(
     # In:
     p: wp.array(dtype=float),  # strength
-    radar: Radar,
+    radar: RadarWaves,
     received: int,  # 1: V
     sent: int,
     bounce: Bounce,

@@ -431,7 +431,7 @@ def scattered(d: np.ndarray, s: np.ndarray, normal: np.ndarray, zeta: list[float
     )
     received, sent = (int(letter == "V") for letter in name)
     fields = [fill(multibounce_ends.Arriving, re=vec3((u, v)[way]), im=vec3((0, 0, 0))) for way in (sent, received)]
-    radar = fill(multibounce_ends.Radar, wavenumber=worlds.WAVENUMBER, u=wp.vec3(*u), v=wp.vec3(*v))
+    radar = fill(multibounce_ends.RadarWaves, wavenumber=worlds.WAVENUMBER, u=wp.vec3(*u), v=wp.vec3(*v))
     orders = np.concatenate([[0.0], np.cumsum(np.log(np.arange(1, 64)))])
     power: wp.array = wp.zeros(1, dtype=float, device=device)
     wp.launch(

@@ -40,9 +40,9 @@ class Fields:
 
     @cached_property
     def radar(self) -> Any:
-        """`kernels.Radar` of the view."""
+        """`kernels.RadarWaves` of the view."""
         of = self._render.geometry
-        return fill(kernels.Radar, wavenumber=of.wavenumber, u=wp.vec3(*of.u), v=wp.vec3(*of.v))
+        return fill(kernels.RadarWaves, wavenumber=of.wavenumber, u=wp.vec3(*of.u), v=wp.vec3(*of.v))
 
     def sent(self, vertical: bool) -> Any:
         """`kernels.Arriving` of the paths where the radar sends 1 V/m in H, or V."""
