@@ -93,8 +93,10 @@ def amount(
     name: str, unit: str, high: float, start: float, fit: tuple[float, float], description: str, **more: Any
 ) -> EffectParameter:
     """Of what there is none at 0, the neutral value: a fit moves its logarithm between the two values of `fit`."""
-    bounds = {"scale": "log", "fit_low": fit[0], "fit_high": fit[1]}
-    return EffectParameter(name, unit, 0.0, 0.0, high, start, description=description, **bounds, **more)
+    low, top = fit
+    return EffectParameter(
+        name, unit, 0.0, 0.0, high, start, description=description, scale="log", fit_low=low, fit_high=top, **more
+    )
 
 
 @dataclass(frozen=True)
