@@ -24,7 +24,7 @@ from diagnosis_time import add_run, out_option
 
 from warpsar.diagnosis import command
 from warpsar.diagnosis.search import procedure
-from warpsar.diagnosis.search.forecast import DiagnosisForecast
+from warpsar.diagnosis.search.procedure import DiagnosisForecast
 from warpsar.runtime import devices, threads
 
 

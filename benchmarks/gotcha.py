@@ -55,9 +55,9 @@ from warpsar.io.images import replacing
 from warpsar.learning import command as learning
 from warpsar.learning.command import LearnOptions
 from warpsar.measured.focus import cell_m, focus
+from warpsar.measured.gridding import averaged
 from warpsar.measured.ground import pixel_centres, plane_points
 from warpsar.measured.importer import import_measured
-from warpsar.measured.resample import averaged
 from warpsar.scene.scene import Scene
 from warpsar.speckle.likelihood import best_gain, deviance, expected_deviance
 from warpsar.speckle.looks import equivalent_looks

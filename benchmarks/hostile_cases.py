@@ -141,13 +141,13 @@ def _checkpoint(folder: Path) -> None:
 
 
 def _history(folder: Path) -> None:
-    from warpsar.evaluation.report_convergence import convergence_sections
+    from warpsar.evaluation.report import convergence_sections
 
     convergence_sections(folder)
 
 
 def _fields(folder: Path) -> None:
-    from warpsar.evaluation.report_surface import field_words
+    from warpsar.evaluation.report import field_words
 
     field_words(folder)
 

@@ -46,10 +46,9 @@ def measure(
 
     from warpsar.kernels.raster import sample_kernel
     from warpsar.simulation.rays import hit_grid
-    from warpsar.trace.nearest import ParallelRaster, Raster
     from warpsar.trace.rays import ray_grid
     from warpsar.trace.target import Target
-    from warpsar.trace.trace import nearest_faces
+    from warpsar.trace.trace import ParallelRaster, Raster, nearest_faces
     from warpsar.world.world import geometry_of
 
     kind, clock = (Raster, "cpu_s") if device.is_cpu else (ParallelRaster, "wall_s")

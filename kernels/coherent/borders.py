@@ -9,22 +9,26 @@ PRIME = wp.constant(wp.uint64(1099511628211))
 """Of the hash FNV-1a."""
 
 
+@wp.struct
+class Marked:
+    """What a ray is asked for: the body, the number of each face's surface, how far off the ray begins [m], and after
+    how many faces it ends."""
+
+    body: TubeMesh
+    surface: wp.array[int]
+    standoff: wp.float64
+    most: int
+
+
 @wp.func
-def mark_of(
-    body: TubeMesh,
-    radar: TubeRadar,
-    surface: wp.array[int],
-    place: wp.vec2d,
-    size: wp.vec2d,
-    standoff: wp.float64,
-    most: int,
-) -> wp.uint64:
+def mark_of(marked: Marked, radar: TubeRadar, place: wp.vec2d, size: wp.vec2d) -> wp.uint64:
     """A number for the surfaces that a ray meets, in their order, and which of them the radar sees."""
+    body = marked.body
     zero = wp.float64(0.0)
-    tube = start_tube(radar, place, wp.vec2d(size[0], zero), wp.vec2d(zero, size[1]), standoff, body.reach)
+    tube = start_tube(radar, place, wp.vec2d(size[0], zero), wp.vec2d(zero, size[1]), marked.standoff, body.reach)
     start = tube.point
     mark = FIRST
-    for b in range(most):
+    for b in range(marked.most):
         query = wp.mesh_query_ray(body.tree, wp.vec3(start), wp.vec3(tube.d), body.reach)
         if not query.result:
             break
@@ -38,7 +42,7 @@ def mark_of(
             seen = 1
             if b > 0:
                 seen = free(body, radar, at.point, at.flat)
-        mark = (mark ^ wp.uint64(2 * surface[f] + seen + 1)) * PRIME
+        mark = (mark ^ wp.uint64(2 * marked.surface[f] + seen + 1)) * PRIME
         tube = bounced(tube, at)
         start = at.point + body.offset * at.flat
     return mark
@@ -47,31 +51,25 @@ def mark_of(
 @wp.kernel(enable_backward=False)
 def marks_kernel(
     # In:
-    body: TubeMesh,
+    marked: Marked,
     radar_in: wp.array[TubeRadar],
-    surface_in: wp.array[int],
     view_in: wp.array[int],
     place_in: wp.array[wp.vec2d],
     size_in: wp.array[wp.vec2d],
-    standoff: wp.float64,
-    most: int,
     # Out:
     mark_out: wp.array[wp.uint64],
 ):
     i = wp.tid()
-    mark_out[i] = mark_of(body, radar_in[view_in[i]], surface_in, place_in[i], size_in[i], standoff, most)
+    mark_out[i] = mark_of(marked, radar_in[view_in[i]], place_in[i], size_in[i])
 
 
 @wp.kernel(enable_backward=False)
 def halve_kernel(
     # In:
-    body: TubeMesh,
+    marked: Marked,
     radar_in: wp.array[TubeRadar],
-    surface_in: wp.array[int],
     view_in: wp.array[int],
     size_in: wp.array[wp.vec2d],
-    standoff: wp.float64,
-    most: int,
     mark_in: wp.array[wp.uint64],
     halvings: int,
     # Out:
@@ -84,7 +82,7 @@ def halve_kernel(
     high = high_out[i]
     for _ in range(halvings):
         middle = wp.float64(0.5) * (low + high)
-        if mark_of(body, radar_in[view_in[i]], surface_in, middle, size_in[i], standoff, most) == mark_in[i]:
+        if mark_of(marked, radar_in[view_in[i]], middle, size_in[i]) == mark_in[i]:
             low = middle
         else:
             high = middle

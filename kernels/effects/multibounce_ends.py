@@ -27,6 +27,23 @@ class Stuff:
     has_length: wp.array(dtype=int)
 
 
+@wp.struct
+class RadarWaves:
+    """Wavenumber [rad/m], and the directions of H and V at the reference point."""
+
+    wavenumber: float
+    u: wp.vec3
+    v: wp.vec3
+
+
+@wp.struct
+class Arriving:
+    """The fields that arrive at surfaces, real and imaginary part [V/m]."""
+
+    re: wp.array(dtype=wp.vec3)
+    im: wp.array(dtype=wp.vec3)
+
+
 @wp.func
 def face_of(stuff: Stuff, face: int, zeta: wp.vec4) -> Face:
     """The face with its roughness; coordinates as in kernels/codes.py."""
@@ -51,44 +68,42 @@ def smooth(face: Face) -> Face:
 
 
 @wp.func
-def polarized(u: wp.vec3, v: wp.vec3, direction: wp.vec3, vertical: int) -> wp.vec3:
-    """The radar's H, which is `u`, or V across a ray: `v` at the reference point."""
+def polarized(radar: RadarWaves, direction: wp.vec3, vertical: int) -> wp.vec3:
+    """The radar's H, or its V across a ray."""
     if vertical == 0:
-        return u
-    return wp.normalize(v - wp.dot(v, direction) * direction)
+        return radar.u
+    return wp.normalize(radar.v - wp.dot(radar.v, direction) * direction)
 
 
 @wp.func
-def field_of(re: wp.vec3, im: wp.vec3) -> Field:
+def field_of(arriving: Arriving, i: int) -> Field:
     field = Field()
-    field.re = wp.vec3d(re)
-    field.im = wp.vec3d(im)
+    field.re = wp.vec3d(arriving.re[i])
+    field.im = wp.vec3d(arriving.im[i])
     return field
 
 
 @wp.kernel(enable_backward=False)
 def incident_kernel(
     # In:
-    u: wp.vec3,
-    v: wp.vec3,
+    radar: RadarWaves,
     arrival: wp.array(dtype=wp.vec3),
     vertical: int,
     # Out:
     re_out: wp.array(dtype=wp.vec3),
 ):
     i = wp.tid()
-    re_out[i] = polarized(u, v, arrival[i], vertical)
+    re_out[i] = polarized(radar, arrival[i], vertical)
 
 
 @wp.kernel
 def reflect_kernel(
     # In:
-    wavenumber: float,
+    radar: RadarWaves,
     bounce: Bounce,
     stuff: Stuff,
     zeta: wp.array(dtype=wp.vec4),
-    re: wp.array(dtype=wp.vec3),
-    im: wp.array(dtype=wp.vec3),
+    field: Arriving,
     # Out:
     re_out: wp.array(dtype=wp.vec3),
     im_out: wp.array(dtype=wp.vec3),
@@ -99,7 +114,7 @@ def reflect_kernel(
     n = wp.vec3d(bounce.normal[i])
     out = d - wp.float64(2.0) * wp.dot(n, d) * n
     face = face_of(stuff, bounce.face[i], zeta[i])
-    back = reflected(face, wp.float64(wavenumber), field_of(re[i], im[i]), d, n, out)
+    back = reflected(face, wp.float64(radar.wavenumber), field_of(field, i), d, n, out)
     re_out[i] = wp.vec3(back.re)
     im_out[i] = wp.vec3(back.im)
 
@@ -107,16 +122,13 @@ def reflect_kernel(
 @wp.kernel
 def radiate_kernel(
     # In:
-    wavenumber: float,
-    u: wp.vec3,
-    v: wp.vec3,
+    radar: RadarWaves,
     vertical: int,
     bounce: Bounce,
     home: wp.array(dtype=wp.vec3),
     stuff: Stuff,
     zeta: wp.array(dtype=wp.vec4),
-    re: wp.array(dtype=wp.vec3),
-    im: wp.array(dtype=wp.vec3),
+    arriving: Arriving,
     # Out:
     amplitude_out: wp.array(dtype=wp.vec2),
 ):
@@ -125,10 +137,10 @@ def radiate_kernel(
     d = wp.vec3d(bounce.direction[i])
     n = wp.vec3d(bounce.normal[i])
     out = d - wp.float64(2.0) * wp.dot(n, d) * n
-    field = field_of(re[i], im[i])
+    field = field_of(arriving, i)
     face = face_of(stuff, bounce.face[i], zeta[i])
-    back = reflected(face, wp.float64(wavenumber), field, d, n, out)
-    receive = wp.vec3d(polarized(u, v, home[i], vertical))
+    back = reflected(face, wp.float64(radar.wavenumber), field, d, n, out)
+    receive = wp.vec3d(polarized(radar, home[i], vertical))
     amplitude_out[i] = wp.vec2(seen(field, back, d, out, n, wp.vec3d(home[i]), receive))
 
 
@@ -174,9 +186,7 @@ def cell_power_kernel(
 def diffuse_kernel(
     # In:
     p: wp.array(dtype=float),  # strength
-    wavenumber: float,
-    u: wp.vec3,
-    v: wp.vec3,
+    radar: RadarWaves,
     received: int,  # 1: V
     sent: int,
     bounce: Bounce,
@@ -184,30 +194,28 @@ def diffuse_kernel(
     stuff: Stuff,
     log_factorial: wp.array(dtype=wp.float64),
     zeta: wp.array(dtype=wp.vec4),
-    re: wp.array(dtype=wp.vec3),
-    im: wp.array(dtype=wp.vec3),
-    other_re: wp.array(dtype=wp.vec3),
-    other_im: wp.array(dtype=wp.vec3),
+    arriving: Arriving,
+    arriving_other: Arriving,
     # Out:
     power_out: wp.array(dtype=float),
 ):
-    """Bistatic coefficient of the last surface for the field (`re`, `im`) that it meets, and its way back.
+    """Bistatic coefficient of the last surface for the field that it meets, and its way back.
 
     The way back, from the radar to this surface and home over the mirrors, is as long and has the transposed amplitude:
-    the two add as fields. `other`: the field that arrives here when the radar sends the polarization it receives.
+    the two add as fields. `arriving_other` is what arrives here when the radar sends the polarization it receives.
     """
     i = wp.tid()
-    k = wp.float64(wavenumber)
+    k = wp.float64(radar.wavenumber)
     d = wp.vec3d(bounce.direction[i])
     n = wp.vec3d(bounce.normal[i])
     s = wp.vec3d(home[i])
     z = zeta[i]
     rough = face_of(stuff, bounce.face[i], z)
     face = smooth(rough)
-    receive = wp.vec3d(polarized(u, v, home[i], received))
-    send = wp.vec3d(polarized(u, v, home[i], sent))
-    field = field_of(re[i], im[i])
-    other = field_of(other_re[i], other_im[i])
+    receive = wp.vec3d(polarized(radar, home[i], received))
+    send = wp.vec3d(polarized(radar, home[i], sent))
+    field = field_of(arriving, i)
+    other = field_of(arriving_other, i)
     bragg = first_order(face, k, field, d, n, s, receive) + first_order(face, k, other, d, n, s, send)
     mirror = mirrored(face, k, field, d, s, receive) + mirrored(face, k, other, d, s, send)
     material = stuff.face_material[bounce.face[i]]

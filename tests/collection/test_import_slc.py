@@ -21,8 +21,8 @@ from warpsar.formats import registry
 from warpsar.formats.base.data import Facts, ImageChip
 from warpsar.formats.base.declared import WINDOWS
 from warpsar.io import complex_image
+from warpsar.measured.gridding import sample_complex
 from warpsar.measured.importer import Imported, import_measured
-from warpsar.measured.resample import sample_complex
 from warpsar.world.tables import Origin
 from warpsar.world.taper import width_in_cells
 

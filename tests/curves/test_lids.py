@@ -6,7 +6,7 @@ import numpy as np
 import trimesh
 
 import warpsar
-from warpsar.curves.lids import lids
+from warpsar.diagnosis.curve_materials import lids
 
 AROUND = np.array([[np.cos(a), np.sin(a), 0.0] for a in np.linspace(0.0, np.pi, 19)])
 

@@ -22,8 +22,7 @@ from warpsar.diagnosis.search.confirmation import confirm
 from warpsar.diagnosis.turn.addition import TOO_LITTLE
 from warpsar.diagnosis.turn.pruning import prune, resettled, with_smaller
 from warpsar.diagnosis.turn.screening import GLANCE, Screening
-from warpsar.diagnosis.turn.shortlist import by_rank
-from warpsar.diagnosis.turn.survey import surveyed
+from warpsar.diagnosis.turn.shortlist import by_rank, surveyed
 from warpsar.effects.base.trial import Context
 from warpsar.effects.registry import get
 from warpsar.runtime import devices

@@ -18,8 +18,8 @@ from warpsar.compare.observation import Observation
 from warpsar.diagnosis.command import run
 from warpsar.diagnosis.dark.pixels import DarkPixels, impossible
 from warpsar.diagnosis.found import DiagnoseOptions
-from warpsar.diagnosis.left.moves import moves_with
 from warpsar.diagnosis.left.shape import shape_of
+from warpsar.diagnosis.left.summary import moves_with
 from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.role_metrics import role_metrics
 from warpsar.diagnosis.scores.evidence import LARGEST

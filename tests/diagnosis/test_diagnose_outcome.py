@@ -13,8 +13,8 @@ from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.frozen import frozen
 from warpsar.diagnosis.models.left_out import ViewsLeftOut
 from warpsar.diagnosis.search.confirmation import Confirmation
-from warpsar.diagnosis.search.forecast import DiagnosisForecast, forecast
 from warpsar.diagnosis.search.outcome import confirmation_lines, outcome, turn_lines
+from warpsar.diagnosis.search.procedure import DiagnosisForecast, forecast
 from warpsar.runtime import devices
 from warpsar.runtime.forecast import LONG_S
 from warpsar.simulation.rays import Rays

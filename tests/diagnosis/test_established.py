@@ -6,8 +6,8 @@ from typing import Any, cast
 import pytest
 
 from warpsar.compare.judgement import Judgement
-from warpsar.diagnosis.established import not_established
 from warpsar.diagnosis.found import Diagnosis
+from warpsar.diagnosis.result import not_established
 
 HELD = [
     "noise_floor",

@@ -14,7 +14,7 @@ from warpsar.compare.prediction import Agreement, PredictedImage, advantage, pre
 from warpsar.diagnosis.held_out.arcs import folds
 from warpsar.diagnosis.held_out.box import as_box
 from warpsar.diagnosis.held_out.geometry import TURNED, WIDE, likeliest, minimum, numbers, profiled
-from warpsar.diagnosis.held_out.kept import scene_content, scene_of
+from warpsar.diagnosis.held_out.model import scene_content, scene_of
 from warpsar.diagnosis.held_out.report import judgement, sentence
 from warpsar.diagnosis.held_out.search import BEATEN, GEOMETRY, RIVALS, FoldSearch, HeldOut, TrialStep, held_out
 from warpsar.diagnosis.run_log import RunLog, open_run_log

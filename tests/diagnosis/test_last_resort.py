@@ -14,10 +14,9 @@ from warpsar import Scene, simulate
 from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.frozen import frozen
 from warpsar.diagnosis.models.refit import Fitted, refit_as
-from warpsar.diagnosis.report.law import law_section
+from warpsar.diagnosis.report.page import law_section
 from warpsar.diagnosis.search.confirmation import NOT_ELSEWHERE
-from warpsar.diagnosis.search.last_resort import learned_law
-from warpsar.diagnosis.search.loop import Search
+from warpsar.diagnosis.search.loop import Search, learned_law
 from warpsar.diagnosis.turn.addition import TOO_LITTLE
 from warpsar.effects.learned_scattering import shape_db
 from warpsar.errors import InputError, NothingLitError

@@ -15,9 +15,8 @@ from warpsar.diagnosis.models.projection import pixel_of
 from warpsar.diagnosis.proposals import shapes
 from warpsar.diagnosis.proposals.bodies import sound
 from warpsar.diagnosis.proposals.fit import Standing, TrialGround
-from warpsar.diagnosis.proposals.ground import free_ground
 from warpsar.diagnosis.proposals.left_out import explained
-from warpsar.diagnosis.proposals.places import BodyPlace, Looked, Ratios
+from warpsar.diagnosis.proposals.places import BodyPlace, Looked, Ratios, free_ground
 from warpsar.diagnosis.proposals.search import _worth_a_fit, proposed
 from warpsar.differentiable.geometry import exact_images
 from warpsar.runtime import devices

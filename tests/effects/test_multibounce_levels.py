@@ -430,14 +430,15 @@ def scattered(d: np.ndarray, s: np.ndarray, normal: np.ndarray, zeta: list[float
         has_length=wp.ones(1, dtype=int, device=device),
     )
     received, sent = (int(letter == "V") for letter in name)
-    fields = [vec3((u, v)[sent]), vec3((0, 0, 0)), vec3((u, v)[received]), vec3((0, 0, 0))]
+    fields = [fill(multibounce_ends.Arriving, re=vec3((u, v)[way]), im=vec3((0, 0, 0))) for way in (sent, received)]
+    radar = fill(multibounce_ends.RadarWaves, wavenumber=worlds.WAVENUMBER, u=wp.vec3(*u), v=wp.vec3(*v))
     orders = np.concatenate([[0.0], np.cumsum(np.log(np.arange(1, 64)))])
     power: wp.array = wp.zeros(1, dtype=float, device=device)
     wp.launch(
         multibounce_ends.diffuse_kernel,
         1,
         inputs=[
-            *(wp.ones(1, dtype=float, device=device), worlds.WAVENUMBER, wp.vec3(*u), wp.vec3(*v), received, sent),
+            *(wp.ones(1, dtype=float, device=device), radar, received, sent),
             *(bounce, vec3(s), stuff, wp.array(orders, dtype=wp.float64, device=device)),
             *(wp.array(np.array([zeta], np.float32), dtype=wp.vec4, device=device), *fields),
         ],

@@ -14,9 +14,9 @@ from worlds import view
 
 from warpsar.diagnosis.report.left import ratio_words
 from warpsar.evaluation.command import run
+from warpsar.evaluation.report import stated
 from warpsar.evaluation.report_images import reduced
 from warpsar.evaluation.report_parts import beta0_rgb
-from warpsar.evaluation.report_surface import stated
 from warpsar.io import html as report
 from warpsar.io.figures import new
 from warpsar.io.html_image import ImageAxis, image

@@ -15,7 +15,7 @@ import warpsar
 from warpsar.diagnosis.result import diagnose
 from warpsar.effects.registry import get, names, validate
 from warpsar.errors import InputError
-from warpsar.evaluation.report_surface import identified_words
+from warpsar.evaluation.report import identified_words
 from warpsar.learning.learn import LearnOptions, learn
 from warpsar.learning.problem import FitProblem
 from warpsar.runtime import devices

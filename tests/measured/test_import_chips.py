@@ -9,9 +9,8 @@ from PIL import Image
 
 from warpsar.errors import InputError
 from warpsar.formats import jpeg
-from warpsar.measured.chips import import_chips
+from warpsar.measured.chips import assigned, import_chips
 from warpsar.measured.importer import import_measured
-from warpsar.measured.roles import assigned
 from warpsar.scene.scene import Scene
 from warpsar.world.tables import View
 

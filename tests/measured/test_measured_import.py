@@ -13,9 +13,9 @@ from warpsar.diagnosis.command import run as diagnose
 from warpsar.diagnosis.found import DiagnoseOptions
 from warpsar.errors import InputError
 from warpsar.io.images import read_channel, write_exr
+from warpsar.measured.gridding import sample_power
 from warpsar.measured.ground import mesh_points, pixel_centres, plane_points
 from warpsar.measured.importer import import_measured
-from warpsar.measured.resample import sample_power
 from warpsar.scene.scene import Scene
 from warpsar.speckle.looks import equivalent_looks
 

@@ -14,36 +14,16 @@ pytestmark = pytest.mark.unit
 
 EFFECTS = {
     "registration": {"effects.aim_point"},  # it moves a single view as that does
-    "aim_point": {"compare.aim", "compare.prediction", "diagnosis.held_out", "diagnosis.models.movable"},
-    "edge_diffraction": {"curves.search"},  # terms of a complex model are called as effects are
-    "learned_scattering": {"diagnosis.report.law"},
-    "multibounce": {
-        "coherent.held",  # its rays are those of the complex engine
-        "coherent.rcs",
-        "coherent.rough_models",
-        "coherent.sweep",
-        "collection.forecast",
-        "collection.scatterers",
-        "curves.search",
-        "diagnosis.curve_materials",
-        "simulation.checks",
-        "world.tables",
-    },
-    "noise_floor": {"learning.pose_pixels"},
-    "phase_error": {"diagnosis.phase.declared", "diagnosis.report.page"},
-    "point_spread": {
-        "collection.plan",  # a sensor's own response
-        "diagnosis.held_out.search",
-        "learning.glints",
-        "learning.pose_pixels",
-        "measured.importer",
-    },
-    "saturation": {"collection.samples", "diagnosis.held_out.hypotheses", "speckle.facts"},
+    "aim_point": {"compare.aim"},  # which finds the shifts that a table leaves open
+    "multibounce": {"coherent", "world.tables"},  # a term of the complex engine, which is called so, too
+    "noise_floor": {"learning.pose_pixels"},  # images on a floor, and blurred, for places: these two make both
+    "phase_error": {"diagnosis.phase.declared"},  # which asks complex images for it
+    "point_spread": {"learning.pose_pixels", "measured.importer"},  # a header's response becomes this table
+    "saturation": {"speckle.facts"},  # a law of speckle that is called so, too
     "two_scale": {"models.two_scale", "world.library.surfaces"},  # a model has that name, too
-    "unresolved_detail": {"learning.pose_sharing"},
 }
 MODELS = {
-    "facet": {"world.tables"},
+    "facet": {"world.tables"},  # the schema's words on `sigma0`
     "i2em": {"coherent.rough_models", "world.library.surfaces", "world.tables"},
     "ka_spm": {"coherent.learned", "kernels.coherent.rough_models", "models.base.model", "world.library.surfaces"},
     "two_scale": {"effects.two_scale", "world.library.surfaces"},
@@ -56,7 +36,7 @@ COMPARED = {"simulated", "residual", "scaled_deviance"}
 
 
 QUOTED = re.compile(r"""["'](\w+)["']""")
-IMPORTED = re.compile(r"^ *(?:from|import) +(warpsar[\w.]+)(?: import +\(?([\w, \n]+))?", re.MULTILINE)
+IMPORTED = re.compile(r"^ *(?:from|import) +(warpsar[\w.]+)(?: import +(\([^)]*\)|[\w, ]+))?", re.MULTILINE)
 
 
 def named_in(text: str, room: str, by_text: bool) -> set[str]:

@@ -34,10 +34,10 @@ from warpsar.runtime.distributed.processes import ONE
 from warpsar.scene.scene import Scene
 from warpsar.scene.unwrap import write_obj
 from warpsar.simulation import maker
+from warpsar.simulation.batch import shares
 from warpsar.simulation.command import simulate
 from warpsar.simulation.index import FIELDS, INDEX, PARTS, Index
 from warpsar.simulation.naming import angles, labels, views_at
-from warpsar.simulation.shares import shares
 
 HERE = Path(__file__).resolve().parents[1]
 

@@ -8,8 +8,7 @@ from scipy.optimize import minimize_scalar
 
 from warpsar.kernels import loss as loss_kernels
 from warpsar.runtime.structs import fill
-from warpsar.speckle.censored import hazard, minus_log_survival, survival_curvature
-from warpsar.speckle.likelihood import best_gain, curvature, loss_terms
+from warpsar.speckle.likelihood import best_gain, curvature, hazard, loss_terms, minus_log_survival, survival_curvature
 
 pytestmark = pytest.mark.unit
 

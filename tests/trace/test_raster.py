@@ -10,10 +10,9 @@ from worlds import axes, box, ground, join, mesh_of, plate
 
 from warpsar.runtime import devices
 from warpsar.trace.hits import BinGrid
-from warpsar.trace.nearest import ParallelRaster, Raster
 from warpsar.trace.rays import ray_grid
 from warpsar.trace.target import Target
-from warpsar.trace.trace import nearest_faces
+from warpsar.trace.trace import ParallelRaster, Raster, nearest_faces
 from warpsar.world.frame import ViewGeometry, view_geometry
 from warpsar.world.mesh import Mesh
 
@@ -168,7 +167,7 @@ def test_parallel_as_serial(
 ) -> None:
     """Faces of all sizes, each in whatever order: what the raster that takes one after the other finds, every time;
     many strips to one group of threads, and one."""
-    monkeypatch.setattr("warpsar.trace.nearest._GROUPS", groups)
+    monkeypatch.setattr("warpsar.trace.trace._GROUPS", groups)
     mesh, rays_per_m2 = SCENES[name]
     target, _, rays = prepared(mesh, slant_range_m, rays_per_m2=rays_per_m2)
     expected = all_faces(SERIAL, target, rays, seed=7)

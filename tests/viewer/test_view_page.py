@@ -20,8 +20,7 @@ from warpsar.runtime import devices
 from warpsar.simulation.rays import trace_view
 from warpsar.surface.stage import Stage
 from warpsar.viewer.drapes import layover
-from warpsar.viewer.meaning import by_meaning, strong
-from warpsar.viewer.page import _levels
+from warpsar.viewer.page import _levels, by_meaning, strong
 from warpsar.viewer.surface import drawn, owners
 
 ROOT = Path(__file__).resolve().parents[2]

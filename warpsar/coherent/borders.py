@@ -22,6 +22,7 @@ from warpsar.coherent.rays import CellRays, frame
 from warpsar.coherent.records import upload
 from warpsar.coherent.traced import Traced
 from warpsar.kernels.coherent import borders, slopes, tubes
+from warpsar.runtime.structs import fill
 
 HALVINGS = 18
 """A tenth of a wavelength of 3 cm becomes 1e-8 m, what float32 tells apart in a tree of half a metre."""
@@ -106,22 +107,21 @@ class Marker:
     """Numbers for the surfaces that rays meet, in their order, and which of them the radar sees."""
 
     def __init__(self, sight: Sight) -> None:
-        worker = sight.worker
-        self.device = worker.body.device
-        surface = upload(worker.body.shape.surface, int, self.device)
-        self.inputs = [worker.body.rays, sight.radars, surface]
-        self.most = [worker.body.standoff, worker.tracer.bounces]
+        body, self.device, most = sight.worker.body, sight.worker.body.device, sight.worker.tracer.bounces
+        surface = upload(body.shape.surface, int, self.device)
+        marked = fill(borders.Marked, body=body.rays, surface=surface, standoff=body.standoff, most=most)
+        self.inputs = [marked, sight.radars]
 
     def __call__(self, view: NDArray[Any], place: NDArray[np.float64], step: NDArray[np.float64]) -> Any:
         mark = wp.empty(len(view), dtype=wp.uint64, device=self.device)
-        inputs = [*self.inputs, *self._uploaded(view, place, step), *self.most]
+        inputs = [*self.inputs, *self._uploaded(view, place, step)]
         wp.launch(borders.marks_kernel, len(view), inputs=inputs, outputs=[mark], device=self.device)
         return mark.numpy()
 
     def halved(self, pairs: Pairs) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The places next to the first border on the way from left to right, (n, 2) each."""
         view, low, high, step = self._uploaded(pairs.view, pairs.left, pairs.right, pairs.step)
-        inputs = [*self.inputs, view, step, *self.most, upload(pairs.mark, wp.uint64, self.device), HALVINGS]
+        inputs = [*self.inputs, view, step, upload(pairs.mark, wp.uint64, self.device), HALVINGS]
         wp.launch(borders.halve_kernel, len(pairs.view), inputs=inputs, outputs=[low, high], device=self.device)
         return low.numpy(), high.numpy()
 

@@ -301,7 +301,7 @@ def _amplitudes_gib(directions: int, frequencies: int, layers: int) -> float:
 
 def working_gib(scene: World, asked: RcsRequest, layers: bool) -> float:
     """What a sweep holds [GiB]: rough places, the launches of all threads, and the amplitudes."""
-    device, bounces = asked.body.device, scene.radar.max_bounces if "multibounce" in scene.radar.terms else 1
+    device, bounces = asked.body.device, scene.radar.bounces
     kind, several = ("cpu", threads.thread_count()) if device.is_cpu else ("cuda", 1)
     rough = len(asked.body.patches)
     launches = several * (RAYS_TOGETHER[kind] * bounces * HIT_BYTES + (FACE_BYTES[kind] if rough else 0))

@@ -20,16 +20,13 @@ from warpsar.runtime import devices
 from warpsar.surface import tables as sigma0_tables
 from warpsar.surface.surface import places_of
 from warpsar.surface.terms import Terms
-from warpsar.world.tables import Material
+from warpsar.world.tables import OF_RAYS, Material
 from warpsar.world.world import World
-
-REFLECTING = ("single", "multibounce")
-"""Terms in which a rough face reflects as a half-space, with the loss of its roughness."""
 
 
 def refuse_tables(world: World) -> None:
     """Raise InputError where a term needs the permittivity of a material that has a table of sigma0 alone."""
-    terms = [term for term in world.radar.terms if term in REFLECTING]
+    terms = [term for term in world.radar.terms if term in OF_RAYS]
     for name in world.mesh.materials:
         material = world.materials[name]
         needless = not registry.get(material.model).of_surface

@@ -21,6 +21,7 @@ from warpsar.kernels.coherent import cells, edge_waves, edges, free_lanes, radia
 from warpsar.kernels.coherent.rough_models import rough_kernel
 from warpsar.runtime import threads
 from warpsar.world.frame import SPEED_OF_LIGHT
+from warpsar.world.tables import bounces
 
 TERMS = ("single", "multibounce", "edges", "rough", "transmission", "edge_waves")
 POLARIZATIONS = ("HH", "HV", "VH", "VV")
@@ -150,11 +151,11 @@ class Worker:
         self.body, self.k, self.spacing, self.terms, self.distance = body, k, spacing, terms, distance_m
         self.layers, self.compare = layers, compare
         device, kind = body.device, "cpu" if body.device.is_cpu else "cuda"
-        bounces = max_bounces if "multibounce" in terms else 1
+        most = bounces(terms, max_bounces)
         self.stuff = body.stuff(len(k))
         others = "rough" in terms and bool(body.patches.kind.any())
         self.tables = rough_models.tables_of(body.materials, k, device) if others else None
-        self.tracer = Tracer(body, k, self.stuff, bounces, levels, max(bounces, 2) if layers else 2)
+        self.tracer = Tracer(body, k, self.stuff, most, levels, max(most, 2) if layers else 2)
         self.wavenumbers, self.task = self.tracer.wavenumbers, _RAYS_OF_TASK[kind]
         regions = body.shape.regions
         self.samples = upload(regions.sample, wp.vec3d, device)

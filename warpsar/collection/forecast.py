@@ -24,6 +24,7 @@ from warpsar.io.quick_look import draw_blank
 from warpsar.runtime import threads
 from warpsar.runtime.forecast import LONG_S, duration, timed
 from warpsar.runtime.memory import default_gib
+from warpsar.world.tables import OF_RAYS
 from warpsar.world.world import World
 
 FEWEST = 2**14
@@ -79,9 +80,8 @@ def held_gib(world: World, plan: Plan, product: str) -> float:
     total = 0.0
     if "rough" in world.radar.terms:
         total += _PATCH_BYTES * _patches(world, spacing_m(plan))
-    if {"single", "multibounce"} & set(world.radar.terms):
-        bounces = world.radar.max_bounces if "multibounce" in world.radar.terms else 1
-        total += _HIT_BYTES * bounces * GROUP * COARSE**2
+    if OF_RAYS & set(world.radar.terms):
+        total += _HIT_BYTES * world.radar.bounces * GROUP * COARSE**2
     if product == "phase-history" or plan.table.focus == "backprojection":
         total += _SAMPLE_BYTES * several * plan.frequencies * len(plan.track)
     if product == "slc":
@@ -258,7 +258,7 @@ def _rough(stream: Stream) -> _Look:
 
 def _tubes(stream: Stream) -> _Look:
     """Of tubes, by bands of the coarse cells and by tubes of some of them."""
-    if not len(stream.tube_knots) or not {"single", "multibounce"} & set(stream.terms):
+    if not len(stream.tube_knots) or not OF_RAYS & set(stream.terms):
         return _Look(0.0, 0.0, ())
     several = stream.cells(stream.plan.middle)
     cells = several[0]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import cast
@@ -21,7 +22,7 @@ from warpsar.collection.response import asked, band_weights
 from warpsar.effects.base.effect import DeclaredEffect
 from warpsar.effects.base.phase import Copy, Response
 from warpsar.effects.base.product import Product
-from warpsar.effects.registry import declared
+from warpsar.effects.registry import declared, response_of
 from warpsar.errors import InputError
 from warpsar.formats.base.acquisition import Acquisition
 from warpsar.kernels.backproject import first_surface_kernel
@@ -367,11 +368,10 @@ def _dot() -> Track:
     return Track(np.zeros(1), np.zeros((1, 3)), np.zeros((1, 3)))
 
 
-def _key(world: World, axis: int) -> str:
+def _key(effects: Sequence[DeclaredEffect], axis: int) -> str:
     """The key that states the width along an axis."""
-    if "point_spread" in world.effects:
-        return f"effects.point_spread.{('range', 'azimuth')[axis]}_fwhm_m"
-    return "collection.resolution_m"
+    name = next((one.effect.name for one in effects if response_of([one]) != Response()), None)
+    return "collection.resolution_m" if name is None else f"effects.{name}.{('range', 'azimuth')[axis]}_fwhm_m"
 
 
 def _shortened(plan: Plan) -> float:
@@ -390,7 +390,7 @@ def _refuse_coarse(world: World, plan: Plan) -> None:
     held = width_in_cells(plan.windows[0]) * SPEED_OF_LIGHT / (2.0 * plan.bandwidth_hz * _shortened(plan))
     if width is not None and held > width * (1.0 + ROUNDED):
         raise InputError(
-            f"{world.name}: {_key(world, 0)}: found {width:g} m in range, but a band of "
+            f"{world.name}: {_key(plan.effects, 0)}: found {width:g} m in range, but a band of "
             f"{plan.bandwidth_hz:.4g} Hz with the window {plan.windows[0]!r} holds {held:.3g} m; must be at least "
             "that, or a wider band"
         )
@@ -544,7 +544,7 @@ def _aperture(world: World, plan: Plan, frequency: float, held_m: float | None =
     needed = np.rad2deg(2.0 * math.asin(min(1.0, 0.5 * needed)))
     if given is not None and given < needed * (1.0 - ROUNDED):
         raise InputError(
-            f"{world.name}: {_key(world, 1)}: found {asked_m:g} m in azimuth, which takes an "
+            f"{world.name}: {_key(plan.effects, 1)}: found {asked_m:g} m in azimuth, which takes an "
             f"aperture of {needed:.3g} degrees; aperture_deg is {given:g}; must be at least that"
         )
     return float(needed) if given is None else given
@@ -587,7 +587,7 @@ def _refuse_narrow(world: World, plan: Plan) -> None:
         if held > asked_m * (1.0 + (ROUNDED if table.transmitter is None else FINER)):
             which = f"of {table.trajectory}" if table.trajectory is not None else "beside the transmitter"
             raise InputError(
-                f"{world.name}: {_key(world, 1)}: found {asked_m:g} m in azimuth, but the track {which} with the "
+                f"{world.name}: {_key(plan.effects, 1)}: found {asked_m:g} m in azimuth, but the track {which} with the "
                 f"window {plan.windows[1]!r} holds {held:.3g} m; must be at least that"
             )
 
@@ -604,13 +604,12 @@ def _refuse_finer(world: World, plan: Plan) -> None:
         if key is None:
             continue
         held = width_in_cells(plan.windows[axis]) * plan.cells_m[axis]
-        for one in plan.effects:
-            width = one.effect.response(one.values, one.settings).width_m[axis]
-            if width is not None and width > held * (1.0 + FINER):
-                raise InputError(
-                    f"{world.name}: {_key(world, axis)}: found {width:g} m beside collection.{key}, which holds "
-                    f"{held:.3g} m; must be that, or leave collection.{key} out"
-                )
+        width = response_of(plan.effects).width_m[axis]
+        if width is not None and width > held * (1.0 + FINER):
+            raise InputError(
+                f"{world.name}: {_key(plan.effects, axis)}: found {width:g} m beside collection.{key}, which holds "
+                f"{held:.3g} m; must be that, or leave collection.{key} out"
+            )
 
 
 def _places(world: World, plan: Plan) -> F64:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from warpsar.collection.presets import filled
 from warpsar.effects.base.effect import DeclaredEffect
 from warpsar.effects.base.phase import Response
+from warpsar.effects.registry import response_of
 from warpsar.errors import InputError
 from warpsar.scene.checks import declared_twice
 from warpsar.world.collection import Collection
@@ -29,21 +30,12 @@ def asked(world: World, effects: Sequence[DeclaredEffect]) -> tuple[Collection, 
     stated = world.collection
     if problems := declared_twice(world.effects, stated):
         raise InputError(f"{world.name}: {problems[0]}")
-    widths: list[float | None] = [None, None]
-    tapers: list[str | None] = [None, None]
-    for one in effects:
-        response = one.effect.response(one.values, one.settings)
-        widths = [new or old for new, old in zip(response.width_m, widths, strict=True)]
-        tapers = [new or old for new, old in zip(response.taper, tapers, strict=True)]
-    for name in tapers:
+    of_effects = response_of(effects)
+    for name in of_effects.taper:
         if stated.window is not None and name not in (None, stated.window):
             raise InputError(
                 f"{world.name}: collection.window: found {stated.window!r} beside effects.point_spread.window, which "
                 f"means {name!r}: both state the taper; must be stated once"
             )
-    table = filled(stated, resolved=widths[0] is not None)
-    of_table = table.resolution_m or (None, None)
-    return table, Response(
-        (widths[0] or of_table[0], widths[1] or of_table[1]),
-        (tapers[0] or table.window, tapers[1] or table.window),
-    )
+    table = filled(stated, resolved=of_effects.width_m[0] is not None)
+    return table, of_effects.over(Response(table.resolution_m or (None, None), (table.window, table.window)))

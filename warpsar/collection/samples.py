@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from warpsar.collection.noise import lines
 from warpsar.collection.slc import Slc
+from warpsar.effects.base.recorder import lit_pixels
 from warpsar.effects.registry import declared, names
-from warpsar.effects.saturation import lit_pixels
 from warpsar.scene.scene import Scene
 from warpsar.simulation.command import view_render
 from warpsar.simulation.rays import trace_view, view_seed

@@ -21,7 +21,7 @@ from warpsar.collection.places import TubeTally
 from warpsar.collection.plan import Plan
 from warpsar.errors import InputError
 from warpsar.world.frame import SPEED_OF_LIGHT
-from warpsar.world.tables import SURFACE_KEYS
+from warpsar.world.tables import OF_RAYS, SURFACE_KEYS
 from warpsar.world.world import World
 
 F64 = NDArray[np.float64]
@@ -127,7 +127,7 @@ class Stream:
         self._velocity = _velocities(world, plan)
         middle = np.array([plan.middle])
         rough = rough and "rough" in terms and len(body.patches) > 0
-        smooth = bool({"single", "multibounce", "edges"} & set(terms))
+        smooth = bool((OF_RAYS | {"edges"}) & set(terms))
         self.rough_knots = (middle if once else plan.knots(ROUGH_STEP_DEG)) if rough else middle[:0]
         self.tube_knots = (middle if once else plan.knots(TUBE_STEP_DEG)) if smooth else middle[:0]
         self.together, self.progress = together, progress
@@ -214,7 +214,7 @@ class Stream:
     def _smooth(self) -> Iterator[ScattererPart]:
         terms = self.terms
         for knot, weight in zip(self.tube_knots.tolist(), fading(self.plan, self.tube_knots), strict=True):
-            if {"single", "multibounce"} & set(terms):
+            if OF_RAYS & set(terms):
                 yield from self._tubes(knot, weight)
             if "edges" in terms and self.worker.edges.shape[0]:
                 edges = places.edge_places(self.worker, places.sight(self.body, *between(self.plan, knot))[1])
@@ -274,7 +274,7 @@ def band_error_db(world: World, plan: Plan, body: CoherentBody) -> float:
     """
     ends = np.array([-0.5, 0.5]) * plan.bandwidth_hz + plan.centre_hz
     found = [0.0]
-    if {"single", "multibounce"} & set(world.radar.terms) and not all(m.rms_height_m for m in body.materials):
+    if OF_RAYS & set(world.radar.terms) and not all(m.rms_height_m for m in body.materials):
         found += (20.0 * np.log10(ends / plan.centre_hz)).tolist()
     if "rough" in world.radar.terms and len(body.patches):
         radar = rough_sight(plan, body, plan.middle)

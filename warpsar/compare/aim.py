@@ -8,9 +8,10 @@ where nothing is used.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from functools import cache
+from typing import TypeVar
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -20,6 +21,8 @@ from warpsar.errors import InputError
 from warpsar.speckle.likelihood import best_gain, bounded, deviance, expected_deviance
 from warpsar.world.world import World
 
+EFFECT = "aim_point"
+S = TypeVar("S", bound=World)
 SMOOTHED_PX = 1.5
 """Standard deviation of the Gaussian that smooths power before its fourth root is correlated."""
 EXPECTED = expected_deviance(1.0)
@@ -42,11 +45,11 @@ class Reach:
     @classmethod
     def of(cls, scene: World) -> Reach:
         """Of the scene's `[effects.aim_point]`; none without one. Raises InputError where the image is too small."""
-        reach_m = float(scene.effects.get("aim_point", {}).get("reach_m", 0.0))
-        rows, cols = (int(np.ceil(reach_m / step - 1e-9)) for step in scene.grid.spacing_m)
+        reach = reach_m(scene)
+        rows, cols = (int(np.ceil(reach / step - 1e-9)) for step in scene.grid.spacing_m)
         if any(n - 2 * r < 8 for n, r in zip(scene.grid.shape, (rows, cols), strict=True)):
             raise InputError(
-                f"{scene.name}: effects.aim_point.reach_m: found {reach_m:g} in an image of "
+                f"{scene.name}: effects.aim_point.reach_m: found {reach:g} in an image of "
                 f"{scene.grid.shape[0]} x {scene.grid.shape[1]} pixels; must leave 8 pixels to compare on every side"
             )
         return cls(rows, cols)
@@ -64,16 +67,40 @@ class Reach:
         return abs(at[0]) <= self.rows and abs(at[1]) <= self.cols
 
 
+def aimed(scene: World) -> bool:
+    """Whether the scene says that its views may lie off."""
+    return EFFECT in scene.effects
+
+
+def without_aims(scene: S) -> S:
+    """The scene whose views lie where they should."""
+    return replace(scene, effects={name: table for name, table in scene.effects.items() if name != EFFECT})
+
+
+def with_aims(scene: S, shifts: Mapping[str, Shift]) -> S:
+    """The scene with these shifts [pixels] of views by name, beside those that it states."""
+    table = dict(scene.effects[EFFECT])
+    for axis, key in enumerate(("range_m", "azimuth_m")):
+        step = scene.grid.spacing_m[axis]
+        table[key] = {**table.get(key, {}), **{name: float(at[axis] * step) for name, at in shifts.items()}}
+    return replace(scene, effects={**scene.effects, EFFECT: table})
+
+
+def reach_m(scene: World) -> float:
+    """How far views may lie off whose shift is not stated [m]; 0 where they lie where they should."""
+    return float(scene.effects.get(EFFECT, {}).get("reach_m", 0.0))
+
+
 def stated_aims(scene: World) -> set[str]:
     """Views whose aim point the scene states."""
-    table = scene.effects.get("aim_point", {})
+    table = scene.effects.get(EFFECT, {})
     return {name for key in ("range_m", "azimuth_m") for name in table.get(key, {})}
 
 
 def unaimed(scene: World) -> list[str]:
     """The warning that a command takes measured views to lie where they should, though the scene says that they may lie
     off; empty where it does not say so, or states all."""
-    if not scene.effects.get("aim_point", {}).get("reach_m", 0.0):
+    if not reach_m(scene):
         return []
     stated = stated_aims(scene)
     count = sum(bool(view.images) and view.name not in stated for view in scene.views)

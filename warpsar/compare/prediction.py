@@ -8,7 +8,7 @@ model has the shift that its own likelihood chooses, a rival the shift that the 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -22,7 +22,9 @@ from warpsar.compare.aim import (
     correlation,
     mean_deviance,
     own_shift,
+    reach_m,
     roots,
+    without_aims,
 )
 from warpsar.compare.rivals import Seen, rivals, turn_deg
 from warpsar.effects.registry import declared
@@ -78,8 +80,7 @@ class Summary:
 
 def predictable(scene: Scene) -> bool:
     """Whether the scene says that aim points are to be found, and has test views for it."""
-    reach = scene.effects.get("aim_point", {}).get("reach_m", 0.0)
-    return bool(reach) and any(view.images and view.role == "test" for view in scene.views)
+    return bool(reach_m(scene)) and any(view.images and view.role == "test" for view in scene.views)
 
 
 def measured_of(scene: Scene, view: View, polarization: str) -> np.ndarray:
@@ -91,7 +92,7 @@ def measured_of(scene: Scene, view: View, polarization: str) -> np.ndarray:
 
 def predicted(scene: Scene, views: Sequence[View], device: wp.Device) -> list[dict[str, np.ndarray]]:
     """beta0 of each view by polarization, with no aim point of its own, as rays of the declared density have it."""
-    bare = replace(scene, effects={name: table for name, table in scene.effects.items() if name != "aim_point"})
+    bare = without_aims(scene)
     stage, density = Stage.of(bare, device), bare.sampling.density_per_m2(bare.grid)
 
     def image(view: View, index: int) -> dict[str, np.ndarray]:
@@ -236,12 +237,3 @@ def advantage(
     error = float(gain.std(ddof=1) / np.sqrt(gain.size)) if gain.size > 1 else float("inf")
     below = float(least - np.mean([image.predictions[name].deviance for image in mine]))
     return Advantage(rival, float(gain.mean()), error, below, sector, len(mine))
-
-
-def with_aim_points(scene: Scene, shifts: Mapping[str, Shift]) -> Scene:
-    """The scene whose `aim_point` has these shifts [pixels] of views by name, beside those that it states."""
-    table = dict(scene.effects["aim_point"])
-    for axis, key in enumerate(("range_m", "azimuth_m")):
-        step = scene.grid.spacing_m[axis]
-        table[key] = {**table.get(key, {}), **{name: float(at[axis] * step) for name, at in shifts.items()}}
-    return replace(scene, effects={**scene.effects, "aim_point": table})

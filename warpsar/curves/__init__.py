@@ -6,7 +6,6 @@
 | `noise.py` | background and multiplicative error, fitted or known from repeated measurements |
 | `angles.py` | how many angles are independent |
 | `sectors.py` | from where an aperture is seen, by geometry |
-| `lids.py` | flat parts that an opening may lie behind, by geometry |
 | `observed.py` | a measured curve beside the terms of its model |
 | `observe.py` | the curves of a scene, and the engine's amplitudes for them, term by term, kept on disk |
 | `rivals.py` | what needs no physics: a constant level, a smooth curve |

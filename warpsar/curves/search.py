@@ -25,8 +25,9 @@ from warpsar.curves.noise import Noise, densities, fit
 from warpsar.curves.observed import ObservedCurve, independent
 from warpsar.curves.rivals import CurveRival, constant, smooth
 from warpsar.curves.sectors import sectors
+from warpsar.effects import registry
 
-CANDIDATES = {"edge_diffraction": "edges", "multibounce": "multibounce"}
+CANDIDATES = {name: term for name in sorted(registry.names()) if (term := registry.get(name).term)}
 """Names of effects, as `diagnose` has them, and the terms that hold them."""
 DECLARED = ("single",)
 SURE = 0.01

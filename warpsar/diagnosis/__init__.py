@@ -12,7 +12,6 @@ written_scene.py    what the written scene and diagnosis.json say of found objec
 known.py            what became of values known to a tolerance
 field_content.py    what is said of learned fields
 alternatives.py     which measurement would decide between two explanations
-established.py      which names are earned, where something is left unexplained
 role_metrics.py     metrics of all images of a role, dark pixels among them
 found.py            options, candidates, turns and the verdict
 run_log.py          what a run has found so far, entry after entry, and its checkpoint

@@ -13,20 +13,23 @@ from numpy.typing import NDArray
 from warpsar.coherent.directions import Directions
 from warpsar.coherent.joints import joints
 from warpsar.coherent.rcs import rcs
-from warpsar.curves.lids import lids
+from warpsar.coherent.shape import shape_of
 from warpsar.curves.materials import MODEL, Kind, MaterialHypothesis, MaterialTest, ask_materials, opened
 from warpsar.curves.observe import observe
 from warpsar.curves.observed import ObservedCurve
+from warpsar.curves.search import CANDIDATES, DECLARED
+from warpsar.curves.sectors import SEEN
 from warpsar.runtime import console
 from warpsar.scene.scene import Scene
 from warpsar.world.frame import SPEED_OF_LIGHT
+from warpsar.world.mesh import Mesh
 from warpsar.world.tables import Material
 
 SOLIDS = (2.0, 2.5, 3.0, 4.0, 6.0)
 """Permittivities of a solid that is tried: foam is below them, ceramics are above."""
 LOSS_TANGENT = 0.03
 """Of a solid that is tried: of resins and plastics, 0.005 to 0.05. One value, since curves hardly tell it apart."""
-TERMS = ("single", "edges", "multibounce")
+TERMS = (*DECLARED, *CANDIDATES.values())
 """Of every hypothesis, whatever is declared: physics has them all. `diagnosis.curves` then asks which of them show."""
 SHARES = (0.25, 0.5, 0.75, 1.0)
 """Of a flat part, which an opening may take."""
@@ -151,3 +154,40 @@ def _area(scene: Scene, name: str, curve: ObservedCurve) -> NDArray[np.float64]:
     area = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     s = Directions.of(curve.azimuth_deg, curve.incidence_deg).s
     return np.asarray(np.clip(s @ area.T, 0.0, None).sum(axis=1))
+
+
+# ---- where a closed body may have an opening: flat parts between sharp edges, as a lid over a duct is
+
+
+EVEN = 0.97
+"""Length of the mean normal of a part, by area, that counts as flat: its faces turn by some 15 degrees at most."""
+ALIKE = 0.01
+"""Relative difference of area up to which two parts are one another's mirror image."""
+TURNED = 0.85
+"""Cosine between the normals of two such parts, at least: openings on both sides of a body face the same way."""
+
+
+def lids(mesh: Mesh, looks: NDArray[np.float64], least_m2: float) -> list[NDArray[np.int64]]:
+    """The faces of each flat part that looks toward the radar, largest first; mirror images that face alike are one.
+
+    `looks` are unit vectors to the radar, (n, 3): from one of them a part shows half of its area or more, as the sector
+    `aperture` has it. `least_m2` is the least area. A part is what no edge of more than `coherent.shape.SMOOTH_DEG`
+    cuts. A smooth body has none.
+    """
+    surface = shape_of(mesh.vertices, mesh.faces, mesh.face_material).surface
+    corners = mesh.vertices[mesh.faces]
+    across = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    total = np.stack([np.bincount(surface, across[:, i]) for i in range(3)], axis=1)
+    area = np.bincount(surface, np.linalg.norm(across, axis=1))
+    normal = total / area[:, None]
+    even = np.linalg.norm(normal, axis=1) > EVEN
+    even &= ((looks @ normal.T).max(axis=0) >= SEEN) & (area < area.sum() / 2.0)
+    left = [int(i) for i in np.argsort(-area) if even[i]]
+    found = []
+    while left:
+        first = left[0]
+        same = [i for i in left if area[first] - area[i] <= ALIKE * area[first] and normal[i] @ normal[first] > TURNED]
+        if area[same].sum() >= least_m2:
+            found.append(np.flatnonzero(np.isin(surface, same)))
+        left = [i for i in left if i not in same]
+    return found

@@ -16,20 +16,20 @@ from warpsar.compare.contract import ROLES
 from warpsar.compare.judgement import SHARE, Finding, Judgement, judge, speckle_of
 from warpsar.compare.metrics import difference, likelihood_gain
 from warpsar.diagnosis.alternatives import Deciding, deciding
-from warpsar.diagnosis.established import not_established
 from warpsar.diagnosis.found import REFUSES, Candidate, DiagnoseOptions, Diagnosis, EffectRival
 from warpsar.diagnosis.left.place import ResidualPlace, place
 from warpsar.diagnosis.left.summary import Left, left_of
-from warpsar.diagnosis.models.change import changes, is_geometry
+from warpsar.diagnosis.models.change import ABSENT, MISSING, changes, is_geometry
 from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.judge import under, with_speckle
 from warpsar.diagnosis.models.left_out import LARGEST_DIFFERENCE, clipped
 from warpsar.diagnosis.models.names import kind_of, object_of
 from warpsar.diagnosis.models.refit import Fitted, refit_without
-from warpsar.diagnosis.models.sensor import is_own_angle
+from warpsar.diagnosis.models.sensor import is_own_angle, is_sensor
 from warpsar.diagnosis.role_metrics import RoleMetrics, role_metrics
 from warpsar.diagnosis.search.geometry_confirmation import taken_back
 from warpsar.diagnosis.search.procedure import diagnose_scene
+from warpsar.effects.registry import get
 from warpsar.errors import refuse_kind
 from warpsar.runtime import devices, once
 from warpsar.scene.scene import Scene, scene_or_file
@@ -38,6 +38,36 @@ from warpsar.speckle.facts import SpeckleFact
 from warpsar.speckle.likelihood import loss_terms
 from warpsar.speckle.own import Patch, own_autocovariance
 from warpsar.speckle.scan import Spot
+
+# ---- which names of the final model are earned
+
+
+PLACED = {ABSENT, MISSING}  # bodies that are there or are not: no remainder elsewhere puts them in doubt
+
+
+def not_established(found: Diagnosis, verdicts: Mapping[str, Judgement]) -> dict[str, str]:
+    """Names of the final model that are not earned, with their objects, and why, in words.
+
+    What the time left on trial is none. Beside edges that do not agree, nothing that moves edges is, be it a body, an
+    angle or a shift of images, nor an effect whose own test does not confirm it. Beside structure, such effects and
+    angles and spacings of the sensor are not: a body lies at one place, and what is left may lie at another.
+    """
+    left = {one for verdict in verdicts.values() for one in verdict.findings}
+    why = {}
+    for name in found.held:
+        if name in found.on_trial:
+            why[name] = "the time was over before it was asked beside the others"
+        elif is_geometry(name):
+            if "edges" in left and kind_of(name) not in PLACED:
+                why[name] = "edges do not agree with it"
+            elif "structure" in left and is_sensor(name):
+                why[name] = "structure is left with it"
+        elif "edges" in left and get(name).stage == "position":
+            why[name] = "edges do not agree with it"
+        elif {"edges", "structure"} & left and not found.signed(name):
+            why[name] = "what is left may be what it stands in for, and its own test does not confirm it"
+    return why
+
 
 OPEN = 1e-3  # chance that a surface which explains all views costs train views more likelihood than is allowed
 OPEN_WORDS = "the train views leave the surface open, so it was fitted to the test views, too"

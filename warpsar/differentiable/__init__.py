@@ -2,8 +2,8 @@
 
 parameters: what may change, by name. derivatives: images, `vjp` and `jvp` with NumPy arrays. renderer:
 `warpsar.renderer`. pytorch, jax_callback: the same as a function of either library. moves: poses, sizes and vertices
-as parameters. vertex_slopes: a view's gradient to the vertices. facets: what facets return as they turn. geometry:
-exact images, and their change along one move.
+as parameters. vertex_slopes: a view's gradient to the vertices. geometry: exact images,
+and their change along one move.
 """
 
 import lazy_loader

@@ -10,7 +10,7 @@ import numpy as np
 import warp as wp
 
 from warpsar.effects.base.effect import Effect
-from warpsar.effects.base.parameter import EffectParameter
+from warpsar.effects.base.parameter import EffectParameter, amount
 from warpsar.effects.base.phase import Copy
 from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.signature import SeenImage, Signature, power_in
@@ -37,18 +37,7 @@ class AzimuthAmbiguity(Effect):
     example: ClassVar[dict[str, Any]] = {"level": 0.05, "offset_m": 22.0}
     rate_case: ClassVar[dict[str, Any]] = {"level": 0.05, "offset_m": 9.0}
     parameters = (
-        EffectParameter(
-            "level",
-            "1",
-            0.0,
-            0.0,
-            1.0,
-            0.01,
-            scale="log",
-            fit_low=1e-9,
-            fit_high=1.0,
-            description="Power of each copy, as a share of the image.",
-        ),
+        amount("level", "1", 1.0, 0.01, (1e-9, 1.0), "Power of each copy, as a share of the image."),
         EffectParameter("offset_m", "m", math.nan, 0.0, 1e6, 10.0, description="Distance of the copies in azimuth."),
     )
 

@@ -10,7 +10,7 @@ import numpy as np
 import warp as wp
 
 from warpsar.effects.base.effect import Effect
-from warpsar.effects.base.parameter import EffectParameter
+from warpsar.effects.base.parameter import amount
 from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.signature import SeenImage
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
@@ -54,22 +54,19 @@ class EdgeDiffraction(Effect):
     order = 20
     needs_all_hits = True
     summary = "lines along sharp edges"
+    term = "edges"
     in_place = "edges in radar.terms"
     example: ClassVar[dict[str, Any]] = {"strength": 3.0}
     rate_case: ClassVar[dict[str, Any]] = {"strength": 3.0}
     parameters = (
-        EffectParameter(
+        amount(
             "strength",
             "1",
-            0.0,
-            0.0,
             1e6,
             1.0,
+            (1e-6, 1e4),
+            "Cross-section of an edge, in units of lambda / (2 pi) per metre.",
             unstated=1.0,
-            scale="log",
-            fit_low=1e-6,
-            fit_high=1e4,
-            description="Cross-section of an edge, in units of lambda / (2 pi) per metre.",
         ),
     )
 

@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 
 from warpsar.effects.base.effect import Effect
-from warpsar.effects.base.parameter import EffectParameter, Setting
+from warpsar.effects.base.parameter import Setting, amount
 from warpsar.effects.base.phase import ComplexImage
 from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.signature import SeenImage, Signature, power_in
@@ -82,19 +82,7 @@ class Interference(Effect):
     example: ClassVar[dict[str, Any]] = {"level": {"v0": 0.02}, "rows": {"v0": [[40, 42], [100, 101]]}}
     rate_case: ClassVar[dict[str, Any]] = {"level": {"v1": 0.02}, "rows": {"v1": [[30, 32]]}}
     parameters = (
-        EffectParameter(
-            "level",
-            "beta0",
-            0.0,
-            0.0,
-            1e9,
-            1e-3,
-            per_view=True,
-            scale="log",
-            fit_low=1e-12,
-            fit_high=1e6,
-            description="Power added to the rows of a view.",
-        ),
+        amount("level", "beta0", 1e9, 1e-3, (1e-12, 1e6), "Power added to the rows of a view.", per_view=True),
     )
     settings = (
         Setting(

@@ -56,6 +56,11 @@ class LearnedScattering(Effect):
         """Every polarization must show it."""
         return {image.polarization: image.lit}
 
+    def law_db(self, table: Mapping[str, Any], incidence_deg: np.ndarray) -> Mapping[str, np.ndarray]:
+        """g of each polarization of which `table` states a height."""
+        stated = [one for one in CHANNELS if any(key.startswith(f"{one.lower()}_") for key in table)]
+        return {channel: shape_db(table, channel, incidence_deg) for channel in stated}
+
     def trials(self, context: Context) -> list[Trial]:
         channels = {"HV" if one in ("HV", "VH") else one for one in context.scene.radar.polarizations}
         size = 0.1

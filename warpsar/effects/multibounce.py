@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 
 from warpsar.effects.base.effect import Effect
-from warpsar.effects.base.parameter import EffectParameter, one_of
+from warpsar.effects.base.parameter import amount, one_of
 from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.signature import SeenImage
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
@@ -42,22 +42,13 @@ class Multibounce(Effect):
     follows_rays = True
     needs_all_hits = True
     summary = "double and triple bounces between surfaces"
+    term = "multibounce"
     in_place = "multibounce in radar.terms"
     example: ClassVar[dict[str, Any]] = {"strength": 1.0}
     rate_case: ClassVar[dict[str, Any]] = {"strength": 1.0}
     parameters = (
-        EffectParameter(
-            "strength",
-            "1",
-            0.0,
-            0.0,
-            1e6,
-            1.0,
-            unstated=1.0,
-            scale="log",
-            fit_low=1e-6,
-            fit_high=1e4,
-            description="Factor on the power of the paths: 1 is all of it.",
+        amount(
+            "strength", "1", 1e6, 1.0, (1e-6, 1e4), "Factor on the power of the paths: 1 is all of it.", unstated=1.0
         ),
     )
     settings = (

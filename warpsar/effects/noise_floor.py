@@ -10,7 +10,7 @@ import numpy as np
 import warp as wp
 
 from warpsar.effects.base.effect import Effect
-from warpsar.effects.base.parameter import EffectParameter
+from warpsar.effects.base.parameter import amount
 from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.sidelobes import beside_sidelobes
 from warpsar.effects.base.signature import (
@@ -39,20 +39,7 @@ class NoiseFloor(Effect):
     summary = "noise of the receiver, the same in every pixel"
     example: ClassVar[dict[str, Any]] = {"level": 0.002}
     rate_case: ClassVar[dict[str, Any]] = {"level": 0.004}
-    parameters = (
-        EffectParameter(
-            "level",
-            "beta0",
-            0.0,
-            0.0,
-            1e9,
-            1e-3,
-            scale="log",
-            fit_low=1e-12,
-            fit_high=1e6,
-            description="Power added to every pixel.",
-        ),
-    )
+    parameters = (amount("level", "beta0", 1e9, 1e-3, (1e-12, 1e6), "Power added to every pixel."),)
 
     def own_test(self, images: Sequence[SeenImage], table: Mapping[str, Any]) -> Signature:
         """A floor is seen in shadows, and does not fall with distance from what is bright, as sidelobes do."""

@@ -10,7 +10,7 @@ import warp as wp
 
 from warpsar.effects.base.blur import WINDOWS, blurred
 from warpsar.effects.base.effect import Effect
-from warpsar.effects.base.parameter import EffectParameter, Setting
+from warpsar.effects.base.parameter import EffectParameter, Setting, amount
 from warpsar.effects.base.phase import Response
 from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.signature import SeenImage
@@ -20,7 +20,7 @@ from warpsar.effects.base.trial import Context, ScoreStep, Trial
 def _width(name: str) -> EffectParameter:
     axis = name.removesuffix("_fwhm_m")
     meaning = f"Full width of the kernel in {axis}, at half its maximum."
-    return EffectParameter(name, "m", 0.0, 0.0, 1e4, 1.0, description=meaning, scale="log", fit_low=1e-3, fit_high=1e4)
+    return amount(name, "m", 1e4, 1.0, (1e-3, 1e4), meaning)
 
 
 def _is_window(value: Any) -> bool:

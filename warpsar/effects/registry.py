@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from functools import cache
 from importlib import import_module
 from pkgutil import iter_modules
@@ -14,6 +14,7 @@ import numpy as np
 from warpsar.effects.base.effect import STAGES, DeclaredEffect, Effect
 from warpsar.effects.base.fitted import FITTED_KEYS, is_fitted, refuse_fitted_keys
 from warpsar.effects.base.parameter import EffectParameter, Setting
+from warpsar.effects.base.phase import Response
 from warpsar.errors import InputError, shown
 from warpsar.models import registry as models
 from warpsar.models.base.model import DEFAULT
@@ -204,6 +205,14 @@ def fitted_effects(effects: Mapping[str, Mapping[str, Any]]) -> list[str]:
 def held_by(effects: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
     """The effects of a scene that a fit holds, each with the one that it moves and that can do all they do."""
     return {one: name for name in fitted_effects(effects) for one in get(name).contains if one in effects}
+
+
+def response_of(effects: Iterable[DeclaredEffect]) -> Response:
+    """What effects ask of a system's response; what acts later is asked last, and counts."""
+    whole = Response()
+    for one in effects:
+        whole = one.effect.response(one.values, one.settings).over(whole)
+    return whole
 
 
 def setting_in(view: View, setting: Setting, table: Mapping[str, Any]) -> Any:

@@ -12,7 +12,7 @@ import warp as wp
 from warpsar.effects.base.effect import Effect
 from warpsar.effects.base.parameter import EffectParameter, Setting
 from warpsar.effects.base.phase import ComplexImage
-from warpsar.effects.base.recorder import Recorder
+from warpsar.effects.base.recorder import Recorder, lit_pixels
 from warpsar.effects.base.signature import FEWEST, SURE, SeenImage, Signature, looks_on
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
 from warpsar.kernels.effects import saturation as kernels
@@ -41,6 +41,7 @@ class Saturation(Effect):
     name = "saturation"
     stage = "image"
     acts_on = ("beta0", "slc")
+    of_numbers = True
     in_place = "--product slc: it compresses the samples of an image"
     order = 50
     needs_all_hits = True
@@ -149,18 +150,6 @@ class Saturation(Effect):
         program.launch(kernels.count_equal_kernel, n, [lit, image, *middle], [equal])
         program.launch(kernels.median_kernel, n, [lit, image, *middle, equal], [median])
         return median
-
-
-def lit_pixels(render: Recorder) -> np.ndarray:
-    """Which pixels of the image the hits fall into, shape (rows * cols,), bool; without any shift."""
-    grid, (rows, cols) = render.hits.grid, render.shape
-    fine = np.zeros(grid.shape[0] * grid.shape[1], bool)
-    fine[render.hits.pixel.numpy()] = True
-    margin = [(have - want * grid.bins_per_pixel) // 2 for have, want in zip(grid.shape, render.shape, strict=True)]
-    inner = fine.reshape(grid.shape)[
-        margin[0] : margin[0] + rows * grid.bins_per_pixel, margin[1] : margin[1] + cols * grid.bins_per_pixel
-    ]
-    return inner.reshape(rows, grid.bins_per_pixel, cols, grid.bins_per_pixel).any(axis=(1, 3)).ravel()
 
 
 EFFECT = Saturation()

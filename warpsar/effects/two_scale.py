@@ -10,7 +10,7 @@ import numpy as np
 import warp as wp
 
 from warpsar.effects.base.effect import Effect
-from warpsar.effects.base.parameter import EffectParameter
+from warpsar.effects.base.parameter import amount
 from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.signature import SeenImage
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
@@ -39,20 +39,7 @@ class TwoScale(Effect):
     summary = "large-scale slopes under the roughness"
     example: ClassVar[dict[str, Any]] = {"slope_variance": 0.02}
     rate_case: ClassVar[dict[str, Any]] = {"slope_variance": 0.03}
-    parameters = (
-        EffectParameter(
-            "slope_variance",
-            "1",
-            0.0,
-            0.0,
-            1.0,
-            0.005,
-            scale="log",
-            fit_low=1e-7,
-            fit_high=0.3,
-            description="Slope variance per axis.",
-        ),
-    )
+    parameters = (amount("slope_variance", "1", 1.0, 0.005, (1e-7, 0.3), "Slope variance per axis."),)
 
     def parts(self, image: SeenImage, table: Mapping[str, Any]) -> Mapping[str, np.ndarray]:
         """Every polarization must show it."""

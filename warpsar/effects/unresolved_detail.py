@@ -11,7 +11,7 @@ import warp as wp
 
 from warpsar.effects.base.blur import WINDOWS, blurred
 from warpsar.effects.base.effect import Effect
-from warpsar.effects.base.parameter import EffectParameter, Setting
+from warpsar.effects.base.parameter import EffectParameter, Setting, amount
 from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.signature import SeenImage
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
@@ -52,18 +52,7 @@ class UnresolvedDetail(Effect):
     example: ClassVar[dict[str, Any]] = {"level": 0.03, "spread_m": 3.0}
     rate_case: ClassVar[dict[str, Any]] = {"level": 0.01, "spread_m": 2.0}
     parameters = (
-        EffectParameter(
-            "level",
-            "1",
-            0.0,
-            0.0,
-            1e6,
-            0.01,
-            scale="log",
-            fit_low=1e-9,
-            fit_high=1e4,
-            description="Cross-section per square metre across the look direction.",
-        ),
+        amount("level", "1", 1e6, 0.01, (1e-9, 1e4), "Cross-section per square metre across the look direction."),
         EffectParameter(
             "spread_m",
             "m",
@@ -76,18 +65,7 @@ class UnresolvedDetail(Effect):
             fit_high=1e2,
             description="Full width at half maximum over which this power is spread, in range and in azimuth.",
         ),
-        EffectParameter(
-            "flash",
-            "1",
-            0.0,
-            0.0,
-            1e4,
-            1.0,
-            scale="log",
-            fit_low=1e-3,
-            fit_high=1e3,
-            description="Level added along an axis of the body, as a multiple of `level`.",
-        ),
+        amount("flash", "1", 1e4, 1.0, (1e-3, 1e3), "Level added along an axis of the body, as a multiple of `level`."),
         EffectParameter(
             "flash_deg",
             "deg",
@@ -138,6 +116,9 @@ class UnresolvedDetail(Effect):
         if unknown:
             return f".materials: found {', '.join(unknown)}; allowed are {', '.join(scene.mesh.materials)}"
         return None
+
+    def spread_m(self, table: Mapping[str, Any]) -> float:
+        return float(table.get("spread_m", 0.0))
 
     def parts(self, image: SeenImage, table: Mapping[str, Any]) -> Mapping[str, np.ndarray]:
         """It is all over the body."""

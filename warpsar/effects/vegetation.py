@@ -10,7 +10,7 @@ import numpy as np
 import warp as wp
 
 from warpsar.effects.base.effect import Effect
-from warpsar.effects.base.parameter import EffectParameter
+from warpsar.effects.base.parameter import EffectParameter, amount
 from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.signature import SeenImage
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
@@ -35,18 +35,7 @@ class Vegetation(Effect):
     example: ClassVar[dict[str, Any]] = {"optical_depth": 0.3, "albedo": 0.05}
     rate_case: ClassVar[dict[str, Any]] = {"optical_depth": 0.8, "albedo": 0.1}
     parameters = (
-        EffectParameter(
-            "optical_depth",
-            "1",
-            0.0,
-            0.0,
-            20.0,
-            0.2,
-            scale="log",
-            fit_low=1e-6,
-            fit_high=10.0,
-            description="One-way optical depth.",
-        ),
+        amount("optical_depth", "1", 20.0, 0.2, (1e-6, 10.0), "One-way optical depth."),
         EffectParameter(
             "albedo",
             "1",

@@ -9,8 +9,5 @@ report_numbers.py      its metrics and verdict
 report_images.py       its images
 report_curves.py       its curves of RCS, and the page of a scene that has nothing else
 report_prediction.py   its test views beside rivals that need no physics
-report_surface.py      its surface parameters
-report_tables.py       its learned tables of sigma0
-report_convergence.py  its history of the fit
 report_parts.py        what it shares with the report of diagnose
 """

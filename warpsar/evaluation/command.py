@@ -13,7 +13,7 @@ from typing import Any
 import warp as wp
 
 from warpsar.coherent.left_out import left_out_warning
-from warpsar.compare.aim import stated_aims, unaimed
+from warpsar.compare.aim import stated_aims, unaimed, with_aims
 from warpsar.compare.comparison import Comparison
 from warpsar.compare.contract import Verdict
 from warpsar.compare.curve import errors_in_short
@@ -25,7 +25,6 @@ from warpsar.compare.prediction import (
     predictable,
     predictions,
     summaries,
-    with_aim_points,
 )
 from warpsar.errors import InputError
 from warpsar.evaluation.meshview import write_learned_ply
@@ -232,7 +231,7 @@ def _aimed(scene: Scene, told: Sequence[PredictedImage], name: str) -> Scene:
     """The scene with the aim points of the test views that state none, as a model's own likelihood has them."""
     stated = stated_aims(scene)
     shifts = {image.view.name: image.predictions[name].at for image in told if image.view.name not in stated}
-    return with_aim_points(scene, shifts)
+    return with_aims(scene, shifts)
 
 
 def _prediction_content(told: Sequence[PredictedImage]) -> dict[str, Any]:

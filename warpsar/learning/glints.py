@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from warpsar.effects.registry import declared, response_of
 from warpsar.learning.pose_pixels import compared
 from warpsar.learning.pose_search import lit_pixels
 from warpsar.learning.problem import FitProblem
@@ -109,8 +110,9 @@ def _best_place(scene: Scene, one: Object, images: Sequence[_Image]) -> tuple[fl
 
 def _gains(scene: Scene, images: Sequence[_Image], places: np.ndarray) -> np.ndarray:
     """What a point of the best of `LEVELS` gains in ln L at each of the places (n, 3), (n,); 0 at an image's edge."""
-    spread, spacing, shape = scene.effects.get("point_spread", {}), scene.grid.spacing_m, scene.grid.shape
-    width = [float(spread.get(f"{axis}_fwhm_m", s)) for axis, s in zip(("range", "azimuth"), spacing, strict=True)]
+    spacing, shape = scene.grid.spacing_m, scene.grid.shape
+    asked = response_of(declared(scene, images[0].view)).width_m
+    width = [wide or step for wide, step in zip(asked, spacing, strict=True)]
     near = np.arange(-AROUND, AROUND + 1)
     parts, inside, top = [], np.ones(len(places), bool), np.zeros(len(places))
     for image in images:

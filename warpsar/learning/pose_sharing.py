@@ -89,15 +89,9 @@ def faces_about(scene: Scene, view: View, bodies: Collection[str]) -> np.ndarray
 
 
 def _spread_m(scene: Scene) -> float | None:
-    """How far effects carry power before the image stage [m]: that of `unresolved_detail` by a Gaussian; None where
-    others carry it, too.
-
-    Effects on the surface and gains leave power where it is.
-    """
-    carrying = {name for name in scene.effects if get(name).stage in ("position", "path")}
-    if not carrying <= {"unresolved_detail"}:
-        return None
-    return WIDTHS * float(scene.effects.get("unresolved_detail", {}).get("spread_m", 0.0))
+    """How far effects carry power before the image stage [m]; None where one carries it anywhere."""
+    found = [get(name).spread_m(table) for name, table in scene.effects.items()]
+    return None if None in found else WIDTHS * sum(width for width in found if width is not None)
 
 
 def shared(coordinates: Sequence[GeometryCoordinate], places: Mapping[str, Box] | None) -> list[list[int]]:

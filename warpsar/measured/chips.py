@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from warpsar.formats import registry
 from warpsar.formats.base.data import ImageChip, Quantity, RadarAt
 from warpsar.io.images import write_exr
 from warpsar.io.quick_look import contact_sheet
-from warpsar.measured import roles, view_table
+from warpsar.measured import view_table
 from warpsar.measured.gridding import Gridding, on_grid
 from warpsar.measured.importer import (
     Scale,
@@ -27,6 +27,7 @@ from warpsar.measured.importer import (
     rounding,
 )
 from warpsar.speckle.looks import equivalent_looks
+from warpsar.world.tables import View
 
 
 @dataclass(frozen=True)
@@ -55,12 +56,12 @@ def import_chips(
     scale: Scale = "as declared",
     role: str | None = None,
     train: int | None = None,
-    held_back: Sequence[roles.Sector] = (),
+    held_back: Sequence[Sector] = (),
 ) -> ImportedChips:
     """Bring slant-plane pictures onto the grid of a scene, each as the view that the table names after its file.
 
     Views that the scene file has already keep what it says and get the image. `view_table.read` says what a table
-    holds, and `roles.assigned` what `role`, `train` and `held_back` do; the other arguments are those of
+    holds, and `assigned` what `role`, `train` and `held_back` do; the other arguments are those of
     `import_measured`. The scene file is written once, at the end. Raises
     InputError for a table or a file that cannot be read, and for a file that the table does not name.
     """
@@ -68,7 +69,7 @@ def import_chips(
     paths = [Path(source) for source in sources]
     views = view_table.read(table)
     named = [view.name for _, view in view_table.chosen(table, views, paths)]
-    views = roles.assigned(table, views, named, role=role, train=train, held_back=held_back)
+    views = assigned(table, views, named, role=role, train=train, held_back=held_back)
     pairs = view_table.chosen(table, views, paths)
     scene, _ = opened(scene_path, pairs[0][1].name)
     known = {view.name for view in opened(scene_path, None)[0].views}
@@ -116,3 +117,51 @@ def import_chips(
         messages[f"{scene_path}: image.calibrated is true, but pictures give no beta0: use --scale unknown"] = 1
     said = tuple(text if count == 1 else f"{text} ({count} chips)" for text, count in messages.items())
     return ImportedChips(tuple(view.name for view, *_ in done), tuple(clipped), said, sheet)
+
+
+# ---- which views are learned from, and which are held back as test views
+
+
+Sector = tuple[float, float]
+
+
+def inside(azimuth_deg: float, sector: Sector) -> bool:
+    """Whether an azimuth lies in the sector that runs clockwise from its first to its second azimuth [deg]."""
+    low, high = sector
+    return (azimuth_deg - low) % 360.0 <= (high - low) % 360.0
+
+
+def assigned(
+    table: Path,
+    views: Mapping[str, View],
+    given: Sequence[str],
+    *,
+    role: str | None = None,
+    train: int | None = None,
+    held_back: Sequence[Sector] = (),
+) -> dict[str, View]:
+    """The views of a table with roles for those that are `given` and state none.
+
+    All of them have the `role`, if there is one. Views in a sector that is held back are test views. Of the others,
+    `train` views spread evenly in the order of their azimuth are train views, and the rest are test views. Raises
+    InputError where there are fewer than `train`.
+    """
+    free = [name for name in given if "role" not in views[name].model_fields_set]
+    back = {name for name in free if any(inside(views[name].azimuth_deg, one) for one in held_back)}
+    roles = dict.fromkeys(free, role) if role is not None else {}
+    roles |= dict.fromkeys(back, "test")
+    if train is not None:
+        open_to_all = sorted(set(free) - back, key=lambda name: (views[name].azimuth_deg % 360.0, name))
+        if len(open_to_all) < train:
+            raise InputError(
+                f"{table}: --train {train}: found {len(open_to_all)} views that are not held back and state no role; "
+                f"must be {train} or more"
+            )
+        chosen = {open_to_all[int(k)] for k in np.linspace(0, len(open_to_all), train, endpoint=False)}
+        roles |= {name: "train" if name in chosen else "test" for name in open_to_all}
+    found = dict(views)
+    for name, one in roles.items():
+        if one is not None:
+            stated = views[name].model_dump(by_alias=True, exclude_unset=True)
+            found[name] = View.model_validate({**stated, "role": one})
+    return found

@@ -12,6 +12,7 @@ import numpy as np
 import warp as wp
 
 from warpsar.effects.base.effect import DeclaredEffect, Effect
+from warpsar.effects.registry import response_of
 from warpsar.kernels import binning, shade, shade_lanes
 from warpsar.kernels.codes import PAGE, Layout, Polarization
 from warpsar.kernels.wide import LANES
@@ -98,8 +99,7 @@ class ViewRender:
         fine = hits.grid.bins_per_pixel
         self.spacing_m = (hits.grid.spacing_m[0] * fine, hits.grid.spacing_m[1] * fine)
         pixel = [(side, "none") for side in self.spacing_m]
-        cells = [e.effect.response(e.values, e.settings).cells() for e in effects]
-        along, across = (max(sizes) for sizes in zip(pixel, *cells, strict=True))
+        along, across = (max(sizes) for sizes in zip(pixel, response_of(effects).cells(), strict=True))
         self.resolution_m, self.taper = (along[0], across[0]), (along[1], across[1])
 
         self._effects = effects

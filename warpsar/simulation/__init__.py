@@ -2,9 +2,9 @@
 
 rays: a scene's views traced. exact_rays: the same without rays. sampling: how many rays are enough.
 command: one scene's images and files. outputs: the JSON that every command writes.
-batch: many images in one command. naming: their views and names. shares: who makes which.
+batch: many images in one command. naming: their views and names.
 maker: one scene of a batch. index: what is there already.
-checks: what a user should be told. estimate: how long it will take. metadata: what an image says of itself.
+checks: what a user should be told. estimate: how long it will take.
 view: one view, simulated. speckle: speckle on images. ground: images on a map. dataset: views through xarray.
 files: the files of a view. formats/: one file for each format. image_format: what a format declares.
 materials: `warpsar materials`.

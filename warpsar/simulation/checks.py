@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from warpsar.effects.registry import get
 from warpsar.models import registry
 from warpsar.models.base.model import DEFAULT
 from warpsar.render.domains import lit_areas, model_areas
@@ -83,7 +84,7 @@ class Findings:
             self.areas = self.areas + areas
         for remark in render.remarks:
             self.remarks.setdefault(remark, {})[render.view.name] = None
-        if "multibounce" in render.settings:
+        if any(get(name).follows_rays for name in render.settings):
             self.rays = self.rays + _rays_of_faces(stage, render)
         for polarization in beta0.keys() & {"HV", "VH"}:
             seen = beta0[polarization][lit] if lit.any() else np.zeros(min(render.hits.count, 1))

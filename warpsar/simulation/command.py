@@ -31,7 +31,6 @@ from warpsar.simulation.estimate import SimulationForecast, estimate
 from warpsar.simulation.files import Output, refuse_formats, written
 from warpsar.simulation.formats import registry
 from warpsar.simulation.ground import MapGround
-from warpsar.simulation.metadata import metadata
 from warpsar.simulation.outputs import make_folder, refuse_unlikely_size, write_json
 from warpsar.simulation.rays import effects_grid, hit_grid, trace_view, view_seed
 from warpsar.simulation.speckle import declare as declare_speckled
@@ -42,8 +41,9 @@ from warpsar.trace.hits import DEFAULT_MEMORY_GIB, WHOLE, Hits, Strip
 from warpsar.trace.layers import covered
 from warpsar.trace.layers import layers as layers_of
 from warpsar.trace.rays import ray_count
+from warpsar.version import __version__
 from warpsar.world.tables import View
-from warpsar.world.world import geometry_of, refuse_without_views
+from warpsar.world.world import World, geometry_of, refuse_without_views
 
 
 class Simulation:
@@ -338,3 +338,39 @@ def run(
         return said
 
     return once.write(write) or content
+
+
+# ---- what an image says of itself
+
+
+def metadata(scene: World, view: View) -> dict[str, Any]:
+    """The facts of a view's image, under the same names in EXR, GeoTIFF, NetCDF, Zarr and simulate.json.
+
+    Numbers, texts, and lists of them. `range_axis`, `azimuth_axis` and `elevation_axis` are unit vectors (east, north,
+    up); `spacing_m` is (range, azimuth). `slant_range_m` is there for a strip-map alone, else the wave is plane.
+    """
+    geometry = geometry_of(scene, view)
+    facts: dict[str, Any] = {
+        "view": view.name,
+        "azimuth_deg": view.azimuth_deg,
+        "incidence_deg": view.incidence_deg,
+        "frequency_hz": view.frequency_hz or scene.radar.frequency_hz,
+        "spacing_m": list(scene.grid.spacing_m),
+        "reference_point_m": list(scene.reference_point_m),
+        "range_axis": geometry.d.tolist(),
+        "azimuth_axis": geometry.u.tolist(),
+        "elevation_axis": geometry.v.tolist(),
+        "axes": "rows: slant range, near range first; columns: azimuth; the reference point is in the middle",
+        "quantity": "beta0",
+        "units": "1",
+        "scale": "linear power",
+        "calibration": "beta0: sum of sigma0 dA over the lit surface, divided by the pixel's area in the slant plane",
+        "polarizations": list(scene.radar.polarizations),
+        "polarization_basis": scene.radar.polarization_basis,
+        "software": f"warpsar {__version__}",
+    }
+    if scene.origin is not None:
+        facts |= {f"origin_{name}": value for name, value in scene.origin.model_dump().items()}
+    if geometry.slant_range_m is not None:
+        facts["slant_range_m"] = geometry.slant_range_m
+    return facts

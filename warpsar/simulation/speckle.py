@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.fft import fft, next_fast_len
 
 from warpsar.effects.base.phase import Response
-from warpsar.effects.registry import declared
+from warpsar.effects.registry import declared, response_of
 from warpsar.errors import InputError
 from warpsar.kernels.codes import Polarization
 from warpsar.kernels.effects.point_spread import SINC_WIDTH, TAYLOR_WIDTH
@@ -30,12 +30,7 @@ _SAMPLES = 1024  # of a band
 
 def responses(scene: Scene) -> dict[str, Response]:
     """The response that the scene's effects ask for in every view, by name."""
-    found = {}
-    for view in scene.views:
-        asked = [one.effect.response(one.values, one.settings) for one in declared(scene, view)]
-        stated = [one for one in asked if one != SHARP]
-        found[view.name] = stated[-1] if stated else SHARP
-    return found
+    return {view.name: response_of(declared(scene, view)) for view in scene.views}
 
 
 def speckled(

@@ -15,8 +15,7 @@ comparison.py    measured pixels beside simulated ones, and rivals that know no 
 differences.py   what differs between them, as hypotheses with intervals
 files.py         GeoTIFF, NetCDF and Zarr
 figures.py       pictures with axes
-report.py        report.html
-command.py       all of it
+command.py       all of it, and report.html
 """
 
 import lazy_loader

@@ -3,8 +3,7 @@
 command.py  the command
 surface.py  triangles to draw, with materials, objects and parameters at their corners
 drapes.py   images of the views, and how they lie on the surface
-meaning.py  colours of materials by what they are
 contributors.py  a body whose faces and edges show what they send back: `warpsar rcs --contributors`
-page.py     the page, which holds everything and fetches nothing
+page.py     the page and its colours, which holds everything and fetches nothing
 assets/     the page's own script and style, and three.js
 """

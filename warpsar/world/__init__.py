@@ -1,7 +1,7 @@
 """What is looked at: the mesh, its materials, and the views of it.
 
 world: all data of a scene. tables: the tables of a scene file. mesh: triangles, and `read_mesh`. meshes/: a reader
-for each mesh format. mesh_arrays: are these arrays a mesh? mesh_memory: a mesh from trimesh or arrays. upright: Y up
+for each mesh format. mesh_arrays: are these arrays a mesh? upright: Y up
 or Z up. obj: a mesh written. models: what a backscatter model takes. sigma0_table, scattering_term: files that a
 material names. curve: `[[curves]]`. pixels: an image in memory. problems: what is wrong with a table, in words.
 frame: the axes of a view. earth: the world on the ellipsoid. site: the reference point there. track: where a sensor is.

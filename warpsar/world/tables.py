@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
@@ -33,6 +33,9 @@ DEFAULT_RAYS_PER_PIXEL = 64.0
 
 Polarization = Literal["HH", "HV", "VH", "VV"]
 Term = Literal["single", "edges", "multibounce", "rough", "transmission", "edge_waves"]
+OF_RAYS: frozenset[str] = frozenset({"single", "multibounce"})
+"""Terms whose fields rays carry from face to face; a rough face reflects them as a half-space, with the loss of its
+roughness."""
 ViewKey = Literal["azimuth_deg", "incidence_deg"]
 SpacingKey = Literal["range_spacing_m", "azimuth_spacing_m"]
 
@@ -109,6 +112,11 @@ class Table(BaseModel):
         return [(name, value) for name, value in super().__repr_args__() if value != default.get(str(name))]
 
 
+def bounces(terms: Collection[str], most: int) -> int:
+    """Reflections of a ray of which these terms have something, at most `most`."""
+    return most if "multibounce" in terms else 1
+
+
 class Radar(Table):
     """`[radar]`: the radar's frequency and polarizations, and how they meet the surface."""
 
@@ -155,6 +163,11 @@ class Radar(Table):
     def _known(self) -> Radar:
         _refuse_tolerances(self, dict.fromkeys(self.tolerance, 0.0))
         return self
+
+    @property
+    def bounces(self) -> int:
+        """Most reflections of a ray that the terms ask for."""
+        return bounces(self.terms, self.max_bounces)
 
     @field_validator("polarizations", "terms")
     @classmethod

@@ -7,6 +7,5 @@ hypotheses.py  what is tried
 box.py         a body as a box: what a rival knows that has no mesh
 geometry.py    sizes and angles that the scene frees with a tolerance
 model.py       how a model of some views is fitted, and how well it predicts others
-kept.py        scenes in its checkpoint
 arcs.py        which views are left out together
 """

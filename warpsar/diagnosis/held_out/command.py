@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from warpsar.compare.aim import without_aims
 from warpsar.compare.prediction import Advantage, summaries
 from warpsar.diagnosis.held_out.report import front_words, judgement, sentence, write_report
 from warpsar.diagnosis.held_out.search import HeldOut, held_out
@@ -79,7 +80,7 @@ def content_of(found: HeldOut) -> dict[str, Any]:
             "views_after": found.after,
             "predictions": [asdict(row) for row in summaries(found.images)],
         },
-        "effects": {name: table for name, table in found.final.effects.items() if name != "aim_point"},
+        "effects": dict(without_aims(found.final).effects),
         "materials": {
             name: one.model_dump(exclude_unset=True, mode="json") for name, one in found.final.materials.items()
         },

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import stdtrit
 
+from warpsar.effects.registry import get
 from warpsar.learning.geometry import NAMES, WORDS, freed
 from warpsar.parameters.at import at
 from warpsar.parameters.parameter import Parameter
@@ -81,8 +82,8 @@ class Profile:
 
 def numbers(scene: Scene) -> list[Number]:
     """What the scene frees of its geometry with a tolerance, in the order in which it is moved: common angles first,
-    then heights, for a shadow tells them best. Positions are left out where aim points are found, which move them."""
-    aimed = "aim_point" in scene.effects
+    then heights, for a shadow tells them best. Positions are left out where an effect sets them."""
+    aimed = any(get(name).sets_positions for name in scene.effects)
     found = []
     for parameter in freed(scene):
         if parameter.root == "views" and parameter.owner:

@@ -51,14 +51,15 @@ def hypotheses(scene: Scene, level: float) -> list[EffectHypothesis]:
     """All that fits can tell: effects with few trials and the same numbers for all views, none of which another
     declared effect can do.
 
-    A product that says at which level it was clipped says so how it made its numbers: no `saturation` beside it.
+    A product that says at which level it was clipped says so how it made its numbers: no compression beside it.
     """
-    known = {"saturation"} if any(view.clipped_at is not None for view in scene.views) else set[str]()
+    known = any(view.clipped_at is not None for view in scene.views)
     contained = {name for other in scene.effects for name in get(other).contains}
     found = [
         EffectHypothesis(name)
         for name in names()
-        if name not in scene.effects and name not in contained | known and _tried(get(name), scene, level)
+        if not (name in scene.effects or name in contained or (known and get(name).of_numbers))
+        and _tried(get(name), scene, level)
     ]
     for name, table in scene.effects.items():
         if not table.get("fixed"):

@@ -7,14 +7,16 @@ import threading
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import warp as wp
 
-from warpsar.compare.aim import Reach, aimed_deviance, best_shift, stated_aims
-from warpsar.compare.prediction import PredictedImage, compared, measured_of, predicted, with_aim_points
+from warpsar.compare.aim import Reach, aimed, aimed_deviance, best_shift, stated_aims, with_aims
+from warpsar.compare.prediction import PredictedImage, compared, measured_of, predicted
 from warpsar.compare.rivals import Seen
-from warpsar.diagnosis.models.refit import standing_at
+from warpsar.diagnosis.models.change import content, scene_with
+from warpsar.diagnosis.models.refit import standing_at, surface_content, with_surface
 from warpsar.learning.geometry import still
 from warpsar.learning.optimise import levenberg_marquardt
 from warpsar.learning.problem import FitProblem
@@ -104,7 +106,7 @@ class TrainViews:
         }
         window = self.reach.window(np.empty(scene.grid.shape)).shape
         shape = tuple(n - 2 * round(0.5 * (1.0 - FITTED) * n) for n in window)
-        found = self._aimed(scene) if "aim_point" in scene.effects else scene
+        found = self._aimed(scene) if aimed(scene) else scene
         grid = scene.grid.model_copy(update={"shape": shape})
         self.scene = replace(found, views=[self._cut(view, shape) for view in scene.views], grid=grid)
 
@@ -116,7 +118,7 @@ class TrainViews:
         for view, image in zip(views, predicted(scene, views, self.device), strict=True):
             pol = next(iter(view.images))
             shifts[view.name] = best_shift(self._measured[view.name, pol], image[pol], self.reach)[1]
-        return with_aim_points(scene, shifts)
+        return with_aims(scene, shifts)
 
     def _cut(self, view: View, shape: tuple[int, ...]) -> View:
         """The view with the middle of its images; a test view without any."""
@@ -170,3 +172,23 @@ class TrainViews:
             for now, was in zip(scene.views, self.whole.views, strict=True)
         ]
         return replace(scene, grid=self.whole.grid, views=views)
+
+
+# ---- scenes in JSON's types, for the checkpoint of a search
+
+
+def scene_content(declared: Scene, scene: Scene) -> dict[str, Any]:
+    """What a search may change of a scene: surface, effects, geometry, and the seed of its rays."""
+    return {
+        "materials": surface_content(scene),
+        "effects": scene.effects,
+        "geometry": content(declared, scene),
+        "seed": scene.sampling.seed,
+    }
+
+
+def scene_of(declared: Scene, about: Mapping[str, Any]) -> Scene:
+    """The scene that `scene_content` gave."""
+    placed = scene_with(declared, replace(declared, effects=about["effects"]), about["geometry"])
+    sampling = placed.sampling.model_copy(update={"seed": about["seed"]})
+    return with_surface(replace(placed, sampling=sampling), about["materials"])

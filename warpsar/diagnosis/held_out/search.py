@@ -39,15 +39,16 @@ from warpsar.diagnosis.held_out.geometry import (
     turned,
 )
 from warpsar.diagnosis.held_out.hypotheses import EffectHypothesis, hypotheses, level_of
-from warpsar.diagnosis.held_out.kept import scene_content, scene_of
 from warpsar.diagnosis.held_out.model import (
     FitRays,
     TrainViews,
+    scene_content,
+    scene_of,
     with_other_rays,
 )
 from warpsar.diagnosis.models.change import as_declared
 from warpsar.diagnosis.run_log import RunLog
-from warpsar.effects.registry import get
+from warpsar.effects.registry import declared, get, response_of
 from warpsar.runtime import console, threads
 from warpsar.runtime.deadline import TimeUp, check, deadline
 from warpsar.scene.scene import Scene
@@ -568,9 +569,8 @@ class FoldSearch:
     def _draws(self) -> float:
         """Independent draws of speckle in a view: its pixels over those that share a draw by the point spread."""
         scene = self.start
-        table = scene.effects.get("point_spread", {})
-        widths = [float(table.get(f"{axis}_fwhm_m", 0.0)) for axis in ("range", "azimuth")]
-        shared = [max(width / step, 1.0) for width, step in zip(widths, scene.grid.spacing_m, strict=True)]
+        widths = response_of(declared(scene, scene.views[0])).width_m
+        shared = [max((width or 0.0) / step, 1.0) for width, step in zip(widths, scene.grid.spacing_m, strict=True)]
         return float(np.prod(scene.grid.shape)) / float(np.prod(shared))
 
 

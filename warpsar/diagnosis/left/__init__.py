@@ -2,7 +2,6 @@
 
 summary.py  what is left at the end
 figures.py  what is left, in three pictures
-moves.py    whether what is left moves with the surface or with the image
 shape.py    its shape and spectrum
 words.py    what is left, in sentences and in diagnosis.json
 nearest.py  the explanations that come nearest, and what speaks against each

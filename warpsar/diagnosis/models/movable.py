@@ -10,6 +10,7 @@ import numpy as np
 from warpsar.diagnosis.models.change import MISSING, SIZE, changes
 from warpsar.diagnosis.models.names import kind_of, object_of
 from warpsar.diagnosis.models.sensor import is_sensor
+from warpsar.effects.registry import get
 from warpsar.scene.placing import with_objects
 from warpsar.scene.scene import Scene
 from warpsar.world.objects.groups import group_names, with_groups
@@ -133,8 +134,7 @@ def own_material(declared: Scene, scene: Scene, label: str) -> str | None:
 def placeable(declared: Scene, scene: Scene, labels: Iterable[str]) -> bool:
     """Whether the places of the bodies `labels` can be told: where the aim point of every view is free, only against
     another body, which has not moved."""
-    table = scene.effects.get("aim_point")
-    free = table is not None and not table.get("fixed")
+    free = any(get(name).sets_positions and not table.get("fixed") for name, table in scene.effects.items())
     return not free or bool(set(bodies(declared, scene)) - set(labels))
 
 

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from warpsar.diagnosis.phase.ask import MotionFound, Outcome, PhaseFound, asked, asked_of_motion, folds_of
 from warpsar.diagnosis.phase.fit import KNOTS
 from warpsar.diagnosis.phase.spectrum import BORDER_CELLS, AzimuthSpectrum
-from warpsar.effects.base.phase import Response
 from warpsar.effects.base.slow_time import phase_at
-from warpsar.effects.registry import declared
+from warpsar.effects.registry import declared, response_of
 from warpsar.io import complex_image
 from warpsar.runtime import console
 from warpsar.runtime.busy import busy
@@ -52,6 +51,11 @@ class PhaseAsked:
     def moved(self) -> bool:
         """Whether it changes with range as that of a track error does."""
         return self.motion is not None and self.motion.outcome == "named"
+
+    @property
+    def cause(self) -> str:
+        """What a verdict calls it."""
+        return MOTION_ERROR if self.moved else EFFECT
 
     @property
     def words(self) -> str:
@@ -129,9 +133,9 @@ def _asked(scene: Scene, view: View) -> PhaseAsked:
 
     if EFFECT in scene.effects:
         return nothing("declared", "the scene file declares it")
-    widths = [one.effect.response(one.values, one.settings) for one in declared(scene, view)]
-    cells = _cells(widths)
-    if cells is None:
+    (across, _), (along, _) = response_of(declared(scene, view)).cells()
+    cells = across, along
+    if min(cells) <= 0.0:
         return nothing("not testable", "no effects.point_spread says how wide the aperture is")
     folds: list[list[AzimuthSpectrum]] = [[], []]
     for polarization, path in view.slc.items():
@@ -169,14 +173,6 @@ def _aside(scene: Scene, view: View, range_m: NDArray[np.float64]) -> NDArray[np
     return np.asarray(np.sin(np.arccos(level) - incidence))
 
 
-def _cells(widths: list[Response]) -> tuple[float, float] | None:
-    for one in widths:
-        (across, _), (along, _) = one.cells()
-        if across > 0.0 and along > 0.0:
-            return across, along
-    return None
-
-
 def _middle(image: NDArray[Any]) -> NDArray[Any]:
     """At most `MOST_SIDE` rows and columns."""
     starts = [max(0, (side - MOST_SIDE) // 2) for side in image.shape]
@@ -197,5 +193,5 @@ def with_phase_errors(scene: Scene, found: list[PhaseAsked]) -> Scene:
 
 def named_in(found: list[PhaseAsked]) -> list[str]:
     """For the verdict: what any view has."""
-    both = {EFFECT: any(one.named and not one.moved for one in found), MOTION_ERROR: any(one.moved for one in found)}
-    return [name for name, there in both.items() if there]
+    causes = {one.cause for one in found if one.named}
+    return [name for name in (EFFECT, MOTION_ERROR) if name in causes]

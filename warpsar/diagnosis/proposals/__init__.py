@@ -3,7 +3,6 @@
 search.py    an object that the mesh lacks
 bodies.py    which body stands in a place
 fit.py       an object on trial
-ground.py    where the ground is free
 left_out.py  whether it explains what is seen, also in views left out
 places.py    places on which several views agree
 shapes.py    the bodies that are tried

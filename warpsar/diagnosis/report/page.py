@@ -11,10 +11,8 @@ import numpy as np
 from warpsar.diagnosis.found import Turn
 from warpsar.diagnosis.phase.declared import PhaseAsked
 from warpsar.diagnosis.report.first import first_screen, verdict_sentence
-from warpsar.diagnosis.report.law import law_section
 from warpsar.diagnosis.report.left import left_section, residuals_section
 from warpsar.diagnosis.report.summary import summary_section
-from warpsar.diagnosis.report.surface import parameters_section
 from warpsar.diagnosis.report.turns import turn_section
 from warpsar.diagnosis.result import Diagnosed, why_not
 from warpsar.diagnosis.surface_moves import ParameterMove
@@ -24,6 +22,12 @@ from warpsar.learning.object_figures import figure_of_objects
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+from warpsar.diagnosis.field_content import FIELDS_HEAD, fields_rows
+from warpsar.diagnosis.known import KNOWN_CAPTION, KNOWN_HEAD, known_rows
+from warpsar.diagnosis.search.outcome import effect_table
+from warpsar.diagnosis.surface_moves import SAME_SD
+from warpsar.effects.registry import get
+from warpsar.evaluation.report_parts import shown_as, shown_interval
 
 _PLACES = 201  # along the aperture, at which a phase is drawn
 
@@ -80,7 +84,7 @@ def _phase_section(found: Sequence[PhaseAsked]) -> list[str]:
 
 def _phase_sentence(found: Sequence[PhaseAsked]) -> str:
     """For the head of the page; empty where nothing was named."""
-    named = [f"{one.view} ({'motion_error' if one.moved else 'phase_error'})" for one in found if one.named]
+    named = [f"{one.view} ({one.cause})" for one in found if one.named]
     return f"The phase over slow time is wrong in {', '.join(named)}. " if named else ""
 
 
@@ -104,3 +108,80 @@ def _objects_section(done: Diagnosed, content: dict[str, Any]) -> list[str]:
         return []
     caption = "Objects as the scene file has them (dashed) and as they were found (red)"
     return [report.section("Objects before and after", report.drawing(figure, caption))]
+
+
+# ---- the learned law of backscatter, drawn over incidence, so that a person can name it
+
+
+def law_section(done: Diagnosed) -> list[str]:
+    """A section, or none where no law was learned."""
+    incidence = np.linspace(0.0, 90.0, 181)
+    effects = done.diagnosis.final.scene.effects
+    laws = [law for name, table in effects.items() if (law := get(name).law_db(table, incidence))]
+    if not laws:
+        return []
+    figure, axes = new(6.0, 3.4)
+    for channel, factor in laws[0].items():
+        axes.plot(incidence, factor, label=channel)
+    axes.set(xlabel="local incidence [deg]", ylabel="learned factor on sigma0 [dB]", xlim=(0.0, 90.0))
+    axes.axhline(0.0, color="0.6", linewidth=0.8)
+    axes.legend()
+    said = (
+        "No named effect explains what was left, so a factor on sigma0 was learned from the images. Its shape may tell "
+        "what it is: a slope over all angles is another roughness, a bend of one polarization another model, a step a "
+        "layer. It is no explanation by itself."
+    )
+    words = "The learned factor on sigma0 over local incidence, of each polarization"
+    return [report.section("The learned backscatter", report.paragraph(said), report.drawing(figure, words))]
+
+
+# ---- parameters: how those of the surface moved, and what the added effects have
+
+
+def parameters_section(done: Diagnosed, moves: Sequence[ParameterMove], content: dict[str, Any]) -> str:
+    rows = []
+    for move in moves:
+        label, factor = shown_as(move.key)
+        row = [f"{move.material}: {label}"]
+        row.append(f"{_number(move.before * factor)} {_percent(move.before_sd)}")
+        row.append(f"{_number(move.after * factor)} {shown_interval(move.after_95, factor)}")
+        row.append("–" if not done.diagnosis.verdict else f"{move.move:+.2f}")
+        row.append("–" if not done.diagnosis.verdict or not np.isfinite(move.sds) else f"{move.sds:+.1f}")
+        rows.append(row)
+    head = ["parameter", "before", "after", "move (ln)", "in standard deviations"]
+    caption = (
+        "In brackets: before, one standard deviation; after, the 95 % interval by the profile of the likelihood over "
+        "all surfaces, from the speckle that was found. Open: every value that a fit may take fits. –: not determined "
+        "alone."
+    )
+    blocks = []
+    if done.diagnosis.final.scene.effects:
+        tables = [[name, effect_table(table)] for name, table in done.diagnosis.final.scene.effects.items()]
+        blocks.append(report.table(["effect", "parameters at the end"], tables))
+    if content["objects"]:
+        objects = [[name, effect_table(table)] for name, table in content["objects"].items()]
+        blocks.append(report.table(["object", "found at the end"], objects))
+    if content["tolerances"]:
+        blocks.append(report.table(KNOWN_HEAD, known_rows(content), KNOWN_CAPTION))
+    if fields := fields_rows(content):
+        blocks.append(report.table(FIELDS_HEAD, fields))
+    if rows:
+        blocks.append(report.table(head, rows, caption))
+    far = [m for m in moves if np.isfinite(m.sds) and abs(m.sds) > SAME_SD]
+    if done.diagnosis.verdict and moves:
+        said = (
+            f"{len(far) or 'None'} of {len(moves)} surface parameters moved by more than {SAME_SD:g} standard "
+            f"deviations when what was missing was added"
+            + (": so far had they been pulled by leaving it out." if far else ".")
+        )
+        blocks.append(report.paragraph(said))
+    blocks.append(report.bullets(content["identifiability"]["words"]))
+    return report.section("How the surface parameters moved", *blocks)
+
+
+def _percent(sd: float) -> str:
+    return f"(± {100 * sd:.2g} %)" if np.isfinite(sd) and sd < 1.0 else "(–)"
+
+
+def _number(value: float) -> str:
+    return f"{value:.3g}" if np.isfinite(value) else "–"

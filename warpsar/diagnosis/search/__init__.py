@@ -3,9 +3,7 @@
 loop.py                   the loop: score, add on trial, confirm, repeat
 geometry_confirmation.py  whether a change of geometry holds beside everything else
 confirmation.py           which added effects hold, each asked beside all the others
-last_resort.py            a law of backscatter, where nothing named explains what is left
 record.py                 how far a run has come, and its checkpoint
-forecast.py               how long it will take, from a timed sample
 outcome.py                what became of every effect in a turn, in words
 procedure.py              rays, pixels, the declared model, and then the search
 """

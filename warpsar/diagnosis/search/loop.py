@@ -16,14 +16,14 @@ from warpsar.diagnosis.models.change import NUMBERS, POSE, SIZE, changes, is_geo
 from warpsar.diagnosis.models.effect_gain import EffectGain
 from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.judge import Judge
+from warpsar.diagnosis.models.left_out import leave_one_view_out
 from warpsar.diagnosis.models.names import object_of
 from warpsar.diagnosis.models.refit import Fitted, narrow, on_bounded_ground, refit_as, settle
 from warpsar.diagnosis.models.sensor import found_sensor, is_sensor
 from warpsar.diagnosis.scores.evidence import Evidence
 from warpsar.diagnosis.scores.score import minus_log_p
 from warpsar.diagnosis.scores.templates import Template
-from warpsar.diagnosis.search.confirmation import Confirmation, confirm
-from warpsar.diagnosis.search.last_resort import learned_law
+from warpsar.diagnosis.search.confirmation import NOT_ELSEWHERE, Confirmation, confirm
 from warpsar.diagnosis.search.outcome import confirmation_lines, score_text, turn_lines
 from warpsar.diagnosis.search.record import SearchRecord
 from warpsar.diagnosis.turn.addition import TOO_LITTLE, add_the_best
@@ -35,7 +35,8 @@ from warpsar.diagnosis.turn.scoring import score_effects
 from warpsar.diagnosis.turn.screening import NO_DARK
 from warpsar.diagnosis.turn.sensor_search import Hypothesis, screened_sensor, sensor_candidates, worth_a_fit
 from warpsar.diagnosis.turn.shortlist import by_rank, refits
-from warpsar.effects.registry import get
+from warpsar.effects.base.trial import Context
+from warpsar.effects.registry import get, names
 from warpsar.errors import NothingLitError
 from warpsar.learning.pose_search import FoundPoses
 from warpsar.runtime import console, once
@@ -420,3 +421,34 @@ def _say(turn: Turn, number: int, passing: Sequence[Candidate]) -> None:
         f"turn {number + 1}: worth a fit, by score (-ln p, threshold {turn.threshold:.1f}): {scores}; "
         f"scan {score_text(turn.scan_minus_log_p)} (z {turn.spot.z:+.1f}){dark}"
     )
+
+
+# ---- the last resort, where no named effect explains what is left: backscatter learned from the images
+
+
+LEAST_VIEWS = 3
+"""With two the law of one view would be asked of one other, at one other incidence."""
+
+
+def learned_law(setup: FitSetup, here: Fitted, price: float) -> tuple[Candidate, Fitted] | None:
+    """An effect of the last resort with its fit, and whether views left out bear it (`Candidate.refused`).
+
+    None where the scene has it already, or too few views to leave one out. A parameter costs `price` of 2 ln L.
+    """
+    offered = [name for name in names() if get(name).last_resort and name not in here.scene.effects]
+    if not offered or len({view.view.name for view in here.problem.views}) < LEAST_VIEWS:
+        return None
+    name = offered[0]
+    trial = get(name).trials(Context(here.scene, 1.0))[0]
+    scene = replace(here.scene, effects={**here.scene.effects, name: dict(trial.starts[0])})
+    fitted = refit_as(setup, scene)
+    found = Candidate(name, "testable", note="the last resort: no named effect explains the residual")
+    found.refit_gain = 2.0 * (fitted.log_likelihood - here.log_likelihood)
+    found.refit_size = fitted.size - here.size
+    found.table = fitted.scene.effects[name]
+    if found.refit_gain <= found.refit_size * price:
+        found.refused = TOO_LITTLE
+        return found, fitted
+    found.left_out = leave_one_view_out(setup, here, fitted, name)
+    found.refused = "" if found.left_out.passed else NOT_ELSEWHERE
+    return found, fitted

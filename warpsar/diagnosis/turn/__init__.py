@@ -3,7 +3,6 @@
 scoring.py           what each effect scores in one turn
 field_projection.py  score tests beside learned fields
 signature.py         whether an effect's name is earned
-survey.py            where a fit begins whose loss has several valleys
 shortlist.py         which candidates get a full fit
 screening.py         short fits of one candidate, given up where they fall far behind
 addition.py          which refitted candidate is added on trial

@@ -57,9 +57,11 @@ class Effect:
     )
     last_resort: ClassVar[bool] = False  # can do what named effects do: none of the candidates of a search
     of_phase: ClassVar[bool] = False  # power cannot tell it: `diagnose` asks complex images
+    of_numbers: ClassVar[bool] = False  # how a product wrote power as numbers: not searched where the product says it
     sets_positions: ClassVar[bool] = False  # a fit that moves it holds the positions of objects
     acts_on: ClassVar[tuple[Product, ...]] = ("beta0",)  # all other products refuse it by name
     in_place: ClassVar[str] = ""  # what a user writes for products that refuse it; they say so
+    term: ClassVar[str] = ""  # the term of a complex model (`radar.terms`) that has it, which curves of RCS can ask for
     of_surfaces_with: ClassVar[Literal["", "default", "eps_r"]] = ""
     """What a material must have beside it: the default backscatter model, whose equations it takes; a permittivity."""
     bins_per_pixel: ClassVar[int] = 1  # how much finer than the image, per axis, the hits are binned for it
@@ -70,6 +72,16 @@ class Effect:
         `values` are in the order of `parameters`.
         """
         return 0.0
+
+    def spread_m(self, table: Mapping[str, Any]) -> float | None:
+        """Up to the image stage: the full width of the Gaussian by which it spreads power over the image [m], 0 where
+        it leaves power at its place; None where it carries power anywhere."""
+        return None if self.stage in ("position", "path") else 0.0
+
+    def law_db(self, table: Mapping[str, Any], incidence_deg: np.ndarray) -> Mapping[str, np.ndarray]:
+        """What `table` makes of sigma0 [dB] at local incidences (n,), by polarization: a law for people to look at;
+        none for an effect that has a name."""
+        return {}
 
     # ---- products with phase, where `acts_on` names them ----
     # A gain acts on them by its hook `gain`: the power of a scatterer is multiplied, its phase stays. A position

@@ -89,6 +89,16 @@ class EffectParameter:
         return self.transform.slope(x)
 
 
+def amount(
+    name: str, unit: str, high: float, start: float, fit: tuple[float, float], description: str, **more: Any
+) -> EffectParameter:
+    """Of what there is none at 0, the neutral value: a fit moves its logarithm between the two values of `fit`."""
+    low, top = fit
+    return EffectParameter(
+        name, unit, 0.0, 0.0, high, start, description=description, scale="log", fit_low=low, fit_high=top, **more
+    )
+
+
 @dataclass(frozen=True)
 class Setting:
     """A discrete choice of an effect: never differentiated, never learned.

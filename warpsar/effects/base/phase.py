@@ -22,6 +22,13 @@ class Response:
     taper: tuple[str | None, str | None] = (None, None)
     """Of the band and of the aperture: "none" or "taylor"."""
 
+    def over(self, other: Response) -> Response:
+        """This response, and where it asks for nothing the other one."""
+        return Response(
+            (self.width_m[0] or other.width_m[0], self.width_m[1] or other.width_m[1]),
+            (self.taper[0] or other.taper[0], self.taper[1] or other.taper[1]),
+        )
+
     def cells(self) -> tuple[tuple[float, str], tuple[float, str]]:
         """Cells of the band and of the aperture: size [m], 0 where nothing is asked, and taper.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Protocol
 
+import numpy as np
 import warp as wp
 
 from warpsar.runtime.program import Program
@@ -63,3 +64,15 @@ class Recorder(Protocol):
         sample: wp.array | None = None,
     ) -> None:
         """Record the gains on `sigma` and its deposit into `image`, an array that is zeroed before each run."""
+
+
+def lit_pixels(render: Recorder) -> np.ndarray:
+    """Which pixels of the image the hits fall into, shape (rows * cols,), bool; without any shift."""
+    grid, (rows, cols) = render.hits.grid, render.shape
+    fine = np.zeros(grid.shape[0] * grid.shape[1], bool)
+    fine[render.hits.pixel.numpy()] = True
+    margin = [(have - want * grid.bins_per_pixel) // 2 for have, want in zip(grid.shape, render.shape, strict=True)]
+    inner = fine.reshape(grid.shape)[
+        margin[0] : margin[0] + rows * grid.bins_per_pixel, margin[1] : margin[1] + cols * grid.bins_per_pixel
+    ]
+    return inner.reshape(rows, grid.bins_per_pixel, cols, grid.bins_per_pixel).any(axis=(1, 3)).ravel()

@@ -22,7 +22,7 @@ class Fields:
     def __init__(self, render: Recorder, paths: BouncePaths) -> None:
         self._render, self.paths = render, paths
         self.zetas = [render.coordinates(b.face, b.barycentric, b.point) for b in paths.bounces]
-        self._known: dict[bool, list[wp.array]] = {}
+        self._known: dict[bool, Any] = {}
 
     @cached_property
     def stuff(self) -> Any:
@@ -38,29 +38,33 @@ class Fields:
             has_length=wp.array(has_length, dtype=int, device=self._render.program.device),
         )
 
-    @property
-    def axes(self) -> list[wp.vec3]:
-        """The radar's u and v."""
-        geometry = self._render.geometry
-        return [wp.vec3(*geometry.u), wp.vec3(*geometry.v)]
+    @cached_property
+    def radar(self) -> Any:
+        """`kernels.RadarWaves` of the view."""
+        of = self._render.geometry
+        return fill(kernels.RadarWaves, wavenumber=of.wavenumber, u=wp.vec3(*of.u), v=wp.vec3(*of.v))
 
-    def sent(self, vertical: bool) -> list[wp.array]:
-        """Real and imaginary part [V/m], vec3 (n,), where the radar sends 1 V/m in H, or V."""
+    def sent(self, vertical: bool) -> Any:
+        """`kernels.Arriving` of the paths where the radar sends 1 V/m in H, or V."""
         if vertical not in self._known:
             self._known[vertical] = self._reflected(vertical)
         return self._known[vertical]
 
-    def _reflected(self, vertical: bool) -> list[wp.array]:
+    def _reflected(self, vertical: bool) -> Any:
         program, n = self._render.program, self.paths.weight.shape[0]
         field = [program.array(n, wp.vec3, grad=False), program.array(n, wp.vec3, grad=False)]
-        inputs = [*self.axes, self.paths.arrival, int(vertical)]
+        inputs = [self.radar, self.paths.arrival, int(vertical)]
         wp.launch(kernels.incident_kernel, n, inputs=inputs, outputs=field[:1], device=program.device)
         for bounce, zeta in zip(self.paths.bounces[:-1], self.zetas[:-1], strict=True):
             back = [program.array(n, wp.vec3), program.array(n, wp.vec3)]
-            mirror = [self._render.geometry.wavenumber, bounce, self.stuff, zeta, *field]
+            mirror = [self.radar, bounce, self.stuff, zeta, _arriving(field)]
             program.launch(kernels.reflect_kernel, n, mirror, back)
             field = back
-        return field
+        return _arriving(field)
+
+
+def _arriving(field: list[wp.array]) -> Any:
+    return fill(kernels.Arriving, re=field[0], im=field[1])
 
 
 def _verticals(polarization: int) -> tuple[bool, bool]:
@@ -76,8 +80,7 @@ def diffuse_power(render: Recorder, p: wp.array, fields: Fields, polarization: i
     power = program.array(n)
     ends = [int(received), int(sent), paths.bounces[-1], paths.home, fields.stuff]
     orders = log_factorials(str(program.device))
-    arriving = [*fields.sent(sent), *fields.sent(received)]
-    inputs = [p, render.geometry.wavenumber, *fields.axes, *ends, orders, fields.zetas[-1], *arriving]
+    inputs = [p, fields.radar, *ends, orders, fields.zetas[-1], fields.sent(sent), fields.sent(received)]
     program.launch(kernels.diffuse_kernel, n, inputs, [power])
     return power
 
@@ -91,7 +94,7 @@ def coherent_power(
     received, sent = _verticals(polarization)
     amplitude, field, power = program.array(n, wp.vec2), program.array(count, wp.vec2), program.array(n)
     ends = [int(received), paths.bounces[-1], paths.home, fields.stuff, fields.zetas[-1]]
-    inputs = [render.geometry.wavenumber, *fields.axes, *ends, *fields.sent(sent)]
+    inputs = [fields.radar, *ends, fields.sent(sent)]
     program.launch(kernels.radiate_kernel, n, inputs, [amplitude])
     program.launch(kernels.sample_kernel, count, [samples.first, samples.coupling, amplitude], [field])
     program.launch(kernels.cell_power_kernel, n, [p, samples.first, samples.sample, field], [power])
