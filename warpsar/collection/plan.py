@@ -587,8 +587,8 @@ def _refuse_narrow(world: World, plan: Plan) -> None:
         if held > asked_m * (1.0 + (ROUNDED if table.transmitter is None else FINER)):
             which = f"of {table.trajectory}" if table.trajectory is not None else "beside the transmitter"
             raise InputError(
-                f"{world.name}: {_key(plan.effects, 1)}: found {asked_m:g} m in azimuth, but the track {which} with the "
-                f"window {plan.windows[1]!r} holds {held:.3g} m; must be at least that"
+                f"{world.name}: {_key(plan.effects, 1)}: found {asked_m:g} m in azimuth, but the track {which} with "
+                f"the window {plan.windows[1]!r} holds {held:.3g} m; must be at least that"
             )
 
 
