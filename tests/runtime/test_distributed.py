@@ -216,7 +216,7 @@ def test_diagnose_on_two_ranks_is_diagnose_on_one(shifted: Path, tmp_path: Path)
     assert other == one
     # what was shared: several candidates' fits, the views left out, and a second turn
     assert len(one["turns"]) == 2
-    assert len(one["steps"][0]["refitted"]) > 2
+    assert len(one["steps"][0]["refitted"]) > 1
     assert one["steps"][0]["left_out"]["passed"]
     for name in ("scene.toml", "report.html"):
         assert (tmp_path / "2" / name).exists()

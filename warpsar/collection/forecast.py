@@ -260,8 +260,8 @@ def _tubes(stream: Stream) -> _Look:
     """Of tubes, by bands of the coarse cells and by tubes of some of them."""
     if not len(stream.tube_knots) or not OF_RAYS & set(stream.terms):
         return _Look(0.0, 0.0, ())
-    several = stream.cells(stream.plan.middle)
-    cells = several[0]
+    both_ways = stream.cells(stream.plan.middle)
+    cells = both_ways[0]
     rows, columns = (int(n) for n in cells.count)
     count = min(max(rows // 3, 1), max(BANDS, _CELLS // (3 * columns)))
     starts = np.unique(np.linspace(0, max(rows - 3, 0), count).astype(int))
@@ -277,7 +277,7 @@ def _tubes(stream: Stream) -> _Look:
     chosen = np.concatenate(found_cells)
     coarse *= rows * columns / float(sum(map(len, matter)))
     whole = rows / len(bands)
-    coarse, whole = coarse * len(several), whole * len(several)
+    coarse, whole = coarse * len(both_ways), whole * len(both_ways)
     if not len(chosen):
         return _Look(coarse, 0.0, ())
     size = min(cells.together, max(1, len(chosen) // BANDS))

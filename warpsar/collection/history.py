@@ -369,7 +369,7 @@ def _block(plan: Plan, track: Any, parts: list[PartOnDevice], polarizations: int
 def _spectra(plan: Plan, bins: wp.array) -> NDArray[np.complex64]:
     """Of range bins on a device, (polarizations, pulses, frequencies)."""
     found = np.ascontiguousarray(bins.numpy())
-    on_cpu = bins.device.is_cpu  # where blocks have a thread each
+    on_cpu = wp.get_device(bins.device).is_cpu  # where blocks have a thread each
     profiles = _gone_round(found, bins_of(plan)) if on_cpu else found.view(np.complex64)[..., 0]
     spectra = fft.fft(profiles, axis=-1, workers=1 if on_cpu else threads.thread_count(), overwrite_x=True)
     return undeposited(spectra, plan.frequencies).astype(np.complex64)

@@ -21,7 +21,7 @@ from warpsar.collection.places import TubeTally
 from warpsar.collection.plan import Plan
 from warpsar.errors import InputError
 from warpsar.world.frame import SPEED_OF_LIGHT
-from warpsar.world.tables import OF_RAYS, SURFACE_KEYS
+from warpsar.world.tables import OF_RAYS, SURFACE_KEYS, bounces
 from warpsar.world.world import World
 
 F64 = NDArray[np.float64]
@@ -170,7 +170,8 @@ class Stream:
         ends = [track.transmitter_m[knot], track.receiver_m[knot]]
         rates = [rate[knot] for rate in self._rates]
         found = [places.CoarseCells(self.worker, ends, rates)]
-        if {"rough", "multibounce"} <= set(self.terms) and any(m.rms_height_m for m in self.body.materials):
+        after_mirrors = "rough" in self.terms and bounces(self.terms, 2) > 1
+        if after_mirrors and any(m.rms_height_m for m in self.body.materials):
             found.append(places.CoarseCells(self.worker, ends[::-1], rates[::-1], returned=True))
         return found
 

@@ -5,7 +5,7 @@ spots of speckle a shadow is nothing. So two questions are asked, and each is ju
 (`tail.Tails`). `POWER`: which window is the brightest, by its mean. `LIKELIHOOD`: which one is the least likely, bright
 or dark, by the signed root of its likelihood ratio: of 2 k (f - 1 - ln f), for a window of k looks in all and f times
 the power (Kulldorff, Communications in Statistics 26, 1997, for a law of counts). Under speckle that is nearly normal,
-whatever the size and the looks.
+whatever the size and the looks. One dark pixel alone is not asked for: it is a zero of the file.
 """
 
 from __future__ import annotations
@@ -98,9 +98,12 @@ class Scan:
         for i, part in enumerate(parts):
             for first in range(0, found.shape[1], CACHED):
                 some = slice(first, first + CACHED)
-                for z, looks in zip(self._windows(i, part[:, some]), self.looks[i], strict=True):
-                    high, low = z.max(axis=(1, 2)), z.min(axis=(1, 2))
-                    unlikely = np.maximum(_root(high, looks), -_root(low, looks))
+                parted = zip(self.windows, self._windows(i, part[:, some]), self.looks[i], strict=True)
+                for window, z, looks in parted:
+                    high = z.max(axis=(1, 2))
+                    unlikely = _root(high, looks)
+                    if window != (1, 1):
+                        unlikely = np.maximum(unlikely, -_root(z.min(axis=(1, 2)), looks))
                     found[:, some] = np.maximum(found[:, some], [high, unlikely])
         return found
 
@@ -124,7 +127,7 @@ class Scan:
                     (LIKELIHOOD, z.argmax(), _root(z.max(), looks)),
                     (LIKELIHOOD, z.argmin(), -_root(z.min(), looks)),
                 ):
-                    if value > most[question]:
+                    if value > most[question] and not (window == (1, 1) and at == z.argmin()):
                         row, col = np.unravel_index(int(at), z.shape)
                         box = self.boxes[index]
                         place = (int(row + box[0].start), int(col + box[1].start))

@@ -85,7 +85,7 @@ def drawn(scene: Scene, found: Contributors) -> Drawn:
         terms = {term: amplitude[:, p] for term, amplitude in found.faces_m.items()}
         none = np.zeros(faces, np.complex128)
         parts = {ALL: (np.sum([none, *terms.values()], axis=0), found.edges_m[:, p])}
-        parts |= {term: (amplitude, np.zeros(edges)) for term, amplitude in terms.items()}
+        parts |= {term: (amplitude, np.zeros(edges, np.complex128)) for term, amplitude in terms.items()}
         parts["edges"] = none, found.edges_m[:, p]
         for term, (on_faces, on_edges) in parts.items():
             summed = np.zeros(len(share), np.complex128)

@@ -279,7 +279,9 @@ def _known_by_rays(setup: FitSetup, other: FitSetup, fitted: Fitted) -> FitSetup
 def fitted_at(setup: FitSetup, problem: FitProblem, x: np.ndarray, loss: float, iterations: int) -> Fitted:
     """A problem's model at x, where its loss is `loss`."""
     scene, value, misfit = learned_scene(problem, x), problem.prior.value(x), problem.misfit
-    bare = [seen for view in problem.views for seen in setup.observations[view.view.name]]
+    bare = problem.observations
+    if any(get(name).additive for name in scene.effects):  # which have pixels that the others do not light
+        bare = [seen for view in problem.views for seen in setup.observations[view.view.name]]
     for lit, seen, mu in zip(bare, problem.observations, problem.modelled(x), strict=True):
         value += misfit.weight(lit) * float(misfit.terms(lit, mu[lit.interior[seen.interior]]).sum())
     return Fitted(scene, problem, x, -float(once.decide(value)), -loss, iterations)

@@ -299,7 +299,8 @@ def borders_of(fields: SharedFields, planes: NDArray[np.int64]) -> Borders:
     A tube inside of a body is exact, however wide: its phase is linear. One at a border is in or out by chance.
     `planes` numbers the planes of faces, from 1 on.
     """
-    error, bright = (of_group[fields.owner] for of_group in errors_of(fields))
+    errors, brightest = errors_of(fields)
+    error, bright = errors[fields.owner], brightest[fields.owner]
     cell, wanted = fields.cell, error > 0.0  # other groups send nothing
     if not wanted.any():
         return Borders(np.zeros((0, 2), np.int64), np.zeros(0), np.zeros(0, bool), np.zeros(0, np.int64))
@@ -314,7 +315,8 @@ def borders_of(fields: SharedFields, planes: NDArray[np.int64]) -> Borders:
         beside = cell + step
         other = surfaces[tuple((beside - start).T)] != of
         found += [(at[other], error[other], bright[other]) for at in (beside, cell)]
-    at, error, bright = (np.concatenate(one) for one in zip(*found, strict=True))
+    at = np.concatenate([one[0] for one in found])
+    error, bright = np.concatenate([one[1] for one in found]), np.concatenate([one[2] for one in found])
     about = {step: surfaces[tuple((at + step - start).T)] for step in product((-1, 0, 1), repeat=2)}
     along = sum((about[1, n] != about[-1, n]).astype(int) - (about[n, 1] != about[n, -1]) for n in (-1, 0, 1))
     return Borders(at, error, bright, np.asarray(along))

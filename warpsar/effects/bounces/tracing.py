@@ -385,7 +385,7 @@ def _band(render: Recorder, followed: Any, cells: Any, band: Any, cut: NDArray[n
             kernels.path_kernel, dim, inputs=[followed, band, left_out, segment], outputs=[records], device=device
         )
         if cut is not None:
-            at = wp.array(cut, dtype=wp.vec4i, device=device)
+            at: wp.array = wp.array(cut, dtype=wp.vec4i, device=device)
             strips = int(cut[:, 3].max())
             wp.launch(
                 kernels.border_kernel, (len(cut), strips), inputs=[followed, at], outputs=[records], device=device
