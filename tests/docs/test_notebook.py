@@ -1,5 +1,6 @@
 """The notebooks in examples/ run, in seconds, and learn what they say."""
 
+import math
 import re
 from pathlib import Path
 from typing import Any
@@ -50,11 +51,14 @@ def test_a_height_is_found(tmp_path: Path) -> None:
 
 @pytest.mark.full
 def test_a_first_image(tmp_path: Path) -> None:
-    """The brightest pixels are the corner of wall and lawn, near the middle."""
+    """The foot of the wall, from (-1, -4) to (-1, 8) m, ends at -1.5 and 1.2 m of slant range; a pixel has 0.25 m."""
     found, stored = run("first-image.ipynb", tmp_path)
     assert found == stored
-    ((metres,),) = (re.findall(r"brightest pixel at ([+-][\d.]+) m in range", found),)
-    assert abs(float(metres)) < 4.0
+    ((near, far),) = re.findall(r"corner of wall and lawn: ([+-][\d.]+) to ([+-][\d.]+) m", found)
+    looking = (math.sin(math.radians(70.0)), math.cos(math.radians(70.0)))
+    ends = [(-1.0 * looking[0] + y * looking[1]) * math.sin(math.radians(40.0)) for y in (-4.0, 8.0)]
+    assert abs(float(near) - ends[0]) < 0.3
+    assert abs(float(far) - ends[1]) < 0.3
 
 
 @pytest.mark.full
