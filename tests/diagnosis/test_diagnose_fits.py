@@ -234,9 +234,25 @@ def test_a_reading_that_was_taken_while_others_were_missing_is_asked_again(tmp_p
     setup, scene = bench_of({"multibounce": lobe, "point_spread": BLUR}, tmp_path)
     wrong, right = ({"multibounce": {**lobe, "reflection": one}, "point_spread": BLUR} for one in ("roughness", "lobe"))
     for begun in (wrong, right):
-        found = resettled(setup, fitted_to(setup, scene, begun), ["multibounce"]).scene.effects["multibounce"]
+        found = resettled(setup, fitted_to(setup, scene, begun), ["multibounce"], scene).scene.effects["multibounce"]
         assert found["reflection"] == "lobe"
         assert found["strength"] == pytest.approx(1.0, rel=0.3)
+
+
+@pytest.mark.full
+def test_a_reading_is_asked_again_from_the_declared_surface(tmp_path: Path) -> None:
+    """The wrong reading has dragged the surface to where the right one fits worse than it; from the surface of the
+    file the right one fits better."""
+    lobe = {"strength": 1.0, "reflection": "lobe"}
+    setup, scene = bench_of({"multibounce": lobe, "point_spread": BLUR}, tmp_path)
+    dragged = {"eps_r": 1.1, "rms_height_m": 2.0, "correlation_length_m": 2e-5}
+    there = replace(scene, materials={**scene.materials, "cube": scene.materials["cube"].model_copy(update=dragged)})
+    begun = {"multibounce": {"strength": 13.0, "reflection": "roughness"}, "point_spread": BLUR}
+    fitted = fitted_to(setup, there, begun)
+    assert resettled(setup, fitted, ["multibounce"], there).scene.effects["multibounce"]["reflection"] == "roughness"
+    found = resettled(setup, fitted, ["multibounce"], scene).scene.effects["multibounce"]
+    assert found["reflection"] == "lobe"
+    assert found["strength"] == pytest.approx(1.0, rel=0.3)
 
 
 def test_power_that_another_effect_adds_as_well_is_dropped(tmp_path_factory: pytest.TempPathFactory) -> None:

@@ -258,7 +258,8 @@ class Search:
             if turn.fitted is not None:
                 prune(setup, turn, self._effects(here), price)
                 paths = [name for name in self._effects(here) if name in turn.fitted.scene.effects]
-                turn.fitted = resettled(setup, turn.fitted, [name for name in paths if get(name).follows_rays])
+                paths = [name for name in paths if get(name).follows_rays]
+                turn.fitted = resettled(setup, turn.fitted, paths, self.scene)
         return turn
 
     def _scored(self) -> tuple[Turn, FitSetup, Fitted, Evidence, dict[str, list[Template]]]:
@@ -367,7 +368,7 @@ class Search:
         settled = settle(setup, here, self.options.starts, self.options.seed)
         price = Evidence.of(settled.problem, settled.x).price()
         last = self.turns[-1]
-        settled = resettled(setup, settled, self._effects(settled))
+        settled = resettled(setup, settled, self._effects(settled), self.scene)
         settled = trimmed(setup, settled, self._effects(settled), price)
         settled = with_smaller(setup, settled, self._effects(settled), price)
         return confirm(setup, settled, self._added(settled), needed, price, declared=self.scene, quiet=not last.alarms)

@@ -81,17 +81,19 @@ def _means(name: str, smaller: str, table: Mapping[str, Any]) -> dict[str, Any]:
     return {key: mean(one.values()) if isinstance(one, Mapping) else one for key, one in stated.items()}
 
 
-def resettled(setup: FitSetup, fitted: Fitted, added: Sequence[str]) -> Fitted:
+def resettled(setup: FitSetup, fitted: Fitted, added: Sequence[str], declared: Scene) -> Fitted:
     """`fitted`, with those settings of the `added` effects that the images ask for; everything is fitted anew with
     each. What the scene file declares stays.
 
     A setting was chosen when the effect was added, while others were still missing: the window of a blur has hardly
     another shape than what they leave. Asked again, the choice does not depend on the order. Effects of the image are
-    asked for all their settings, since what was rendered stays as it is; others for what their trials differ by.
+    asked for all their settings, since what was rendered stays as it is; others for what their trials differ by. These
+    begin from the `declared` surface, too: a wrong setting has made up for itself by the surface.
     """
     for name in added:
+        surface = declared if get(name).follows_rays else None
         for table in _other_settings(fitted.scene, name):
-            trial = refit_as(setup, replace(fitted.scene, effects={**fitted.scene.effects, name: table}))
+            trial = refit_as(setup, replace(fitted.scene, effects={**fitted.scene.effects, name: table}), surface)
             if trial.log_likelihood > fitted.log_likelihood + WORTH:
                 fitted = trial
     return fitted
