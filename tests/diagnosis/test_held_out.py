@@ -16,7 +16,17 @@ from warpsar.diagnosis.held_out.box import as_box
 from warpsar.diagnosis.held_out.geometry import TURNED, WIDE, likeliest, minimum, numbers, profiled
 from warpsar.diagnosis.held_out.model import scene_content, scene_of
 from warpsar.diagnosis.held_out.report import judgement, sentence
-from warpsar.diagnosis.held_out.search import BEATEN, GEOMETRY, RIVALS, FoldSearch, HeldOut, TrialStep, held_out
+from warpsar.diagnosis.held_out.search import (
+    BEATEN,
+    GEOMETRY,
+    RIVALS,
+    SEARCHED,
+    FoldSearch,
+    HeldOut,
+    Model,
+    TrialStep,
+    held_out,
+)
 from warpsar.diagnosis.run_log import RunLog, open_run_log
 from warpsar.errors import InputError
 from warpsar.measured.chips import import_chips
@@ -272,6 +282,25 @@ def test_a_mesh_that_says_no_more_than_a_box_is_not_this_body(tmp_path: Path) ->
 
 
 @pytest.mark.full
+def test_the_box_has_a_search_of_its_own_before_a_lead_is_claimed(tmp_path: Path) -> None:
+    """A box that was left below its best is as good as a mesh of a box once it was searched, and stays behind a truck's
+    own mesh."""
+    for name in ("truck", "box"):
+        search = of_a_truck(tmp_path, name)
+        search._meet_box()
+        poor = search._rivals["box"]
+        search._rivals["box"] = Model(poor.scenes, poor.scores + 1.0)
+        search._search_box()
+        found = search._rivals["box"]
+        assert found.scores.mean() < poor.scores.mean() + 0.5
+        assert search.steps[-1].label == SEARCHED
+        models = {"model": search._model.scenes, "box": found.scenes}
+        lead = advantage(search._images(models), rivals=("box",))
+        assert lead is not None
+        assert lead.ahead is (name == "truck")
+
+
+@pytest.mark.full
 def test_a_body_turned_round_meets_its_turned_rival(tmp_path: Path) -> None:
     """A truck that is declared the wrong way round is turned, and its front is told; it is not asked again."""
     search = of_a_truck(tmp_path, "truck", heading_deg=180.0)
@@ -291,6 +320,7 @@ def held(
     *,
     rivals: bool = True,
     fronts: dict[str, TrialStep] | None = None,
+    box_held: list[str] | None = None,
 ) -> HeldOut:
     """An outcome with predictions of ten views by name: correlation and deviance; `after` is the score of the model."""
     scatter = np.linspace(-0.01, 0.01, 10)
@@ -306,7 +336,7 @@ def held(
     ]
     scores = {f"v{k}": after + float(d) for k, d in enumerate(scatter)}
     scene = Scene.__new__(Scene)
-    return HeldOut(scene, scene, scene, [], [], {}, scores, scores, images, rivals, fronts or {})
+    return HeldOut(scene, scene, scene, [], [], {}, scores, scores, images, rivals, fronts or {}, box_held)
 
 
 PICTURE = {"nearest": (0.8, 3.0)}
@@ -317,7 +347,7 @@ def test_no_lead_is_claimed_before_a_box_was_met() -> None:
     """The model is ahead of pictures in all of these: that alone says nothing of a body."""
     unmet = held({"model": (0.9, 1.3), **PICTURE}, 1.3)
     assert not unmet.ahead
-    assert sentence(unmet).endswith("no lead is claimed: no box of the body's size was asked")
+    assert sentence(unmet).endswith("no lead is claimed: a box of its size was not asked")
     assert held({"model": (0.9, 1.3), **PICTURE}, 1.3, rivals=False).ahead
 
     beaten = held({"model": (0.9, 1.3), **PICTURE, "box": (0.9, 1.3)}, 1.3)
@@ -326,7 +356,10 @@ def test_no_lead_is_claimed_before_a_box_was_met() -> None:
     beaten.ended = BEATEN
     assert "the search ended early, for a box of its size predicts as well" in sentence(beaten)
 
-    better = held({"model": (0.9, 1.3), **PICTURE, "box": (0.8, 1.4)}, 1.3)
+    early = held({"model": (0.9, 1.3), **PICTURE, "box": (0.8, 1.4)}, 1.3)
+    assert not early.ahead
+    assert sentence(early).endswith("no lead is claimed: a box of its size had no search of its own")
+    better = held({"model": (0.9, 1.3), **PICTURE, "box": (0.8, 1.4)}, 1.3, box_held=[])
     assert better.ahead
     assert sentence(better).endswith("predicts better than pictures of other views and a box")
 

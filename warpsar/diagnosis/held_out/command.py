@@ -67,6 +67,7 @@ def content_of(found: HeldOut) -> dict[str, Any]:
         "unexplained": not found.ahead,
         "lead": _advantage_content(found.of_pictures),
         "lead_of_box": _advantage_content(found.of_box),
+        "box_found": found.box_held,
         "fronts": {label: {**asdict(step), "words": front_words(label, step)} for label, step in found.fronts.items()},
         "not_asked": found.not_asked,
         "ended": found.ended,

@@ -14,7 +14,7 @@ from scipy.ndimage import uniform_filter
 from warpsar.compare.aim import Reach
 from warpsar.compare.comparison import ratio_db
 from warpsar.compare.prediction import THEN, measured_of, predicted, summaries
-from warpsar.diagnosis.held_out.search import TOLD, HeldOut, TrialStep
+from warpsar.diagnosis.held_out.search import BOXED, TOLD, HeldOut, TrialStep
 from warpsar.evaluation.report_parts import beta0_rgb, image_axes, reach_db, residual_rgb, residual_scale
 from warpsar.evaluation.report_prediction import prediction_table
 from warpsar.io import html as report
@@ -43,7 +43,7 @@ def _of_body(found: HeldOut) -> str:
     """Whether the model is of this body, in words."""
     pictures, box = found.of_pictures, found.of_box
     if found.undecided:
-        return "no lead is claimed: no box of the body's size was asked"
+        return f"no lead is claimed: {_unasked(found)}"
     if not found.ahead:
         return "not this body"
     if box is None or pictures is None:
@@ -51,6 +51,11 @@ def _of_body(found: HeldOut) -> str:
     if box.ahead:
         return "predicts better than pictures of other views and a box"
     return "predicts better than pictures of other views; a box does as well, and nothing but speckle is left"
+
+
+def _unasked(found: HeldOut) -> str:
+    """What an undecided body has not met."""
+    return f"{BOXED} was not asked" if found.of_box is None else f"{BOXED} had no search of its own"
 
 
 def _is_known(step: TrialStep) -> bool:
@@ -69,7 +74,7 @@ def judgement(found: HeldOut) -> list[str]:
     if found.of_box is not None and THEN in found.images[0].predictions:
         said[-1] += "; the box was asked before all effects were tried, and is held against the model of that time"
     if found.undecided:
-        said.append("no box of the body's size was asked, so no lead is claimed")
+        said.append(f"{_unasked(found)}, so no lead is claimed")
     return [*said, *(front_words(label, step) for label, step in found.fronts.items())]
 
 
@@ -105,10 +110,13 @@ def _in_short(found: HeldOut) -> str:
     said = [
         "Every train view is predicted by a model that has not seen it, nor its neighbours. The rivals need no "
         "physics: the nearest measured view turned as a picture, the one nearest to the mirrored azimuth, and the "
-        "mean of all. The box has the body's extents and all that was found, fitted anew, sizes too: a body that "
-        "predicts no better has told nothing of itself. Turned round, the body is fitted anew in the same way."
+        "mean of all. The box has the body's extents, and the better of two sets of effects: what was found for the "
+        "body, and what a search of its own found. All is fitted anew, sizes too. A body that predicts no better than "
+        "the box has told nothing of itself. Turned round, the body is fitted anew in the same way."
     ]
     said += [f"The time was over; not asked: {one}." for one in found.not_asked]
+    if found.box_held is not None:
+        said.append(f"The box's own search found: {', '.join(found.box_held) or 'nothing'}.")
     said += [f"The search ended before every effect was asked, for {found.ended}."] if found.ended else []
     said += [f"{words[0].upper()}{words[1:]}.".replace("+-", "±") for words in judgement(found)]
     return report.section("In short", *map(report.paragraph, said), prediction_table(summaries(found.images)))

@@ -7,8 +7,9 @@ more, its mean and one standard error. At the end every effect is left out once 
 standard errors, for what came early may only have stood in for what came later.
 
 A body meets its rivals before any lead is claimed: itself turned round, and a box of its size, each fitted in the same
-way. They are asked once its sizes were first moved, and at the end once more, so that a run of little time has an
-answer. Where the box predicts as well at the first time, the search ends: no effect makes a body of another one.
+way. They are asked once its sizes were first moved, so that a run of little time has an answer. Where the box predicts
+as well at that time, the search ends: no effect makes a body of another one. At the end the box goes through a search
+of its own, since effects that were chosen for the body hold the box below its best.
 """
 
 from __future__ import annotations
@@ -65,6 +66,7 @@ EXPLAINED = 2.0  # standard errors above the deviance of speckle, within which n
 BOXED = "a box of its size"
 RIVALS = "whether the body turned round, or a box of its size, predicts as well"
 BEATEN = "a box of its size predicts as well"
+SEARCHED = f"{BOXED}, by a search of its own"
 
 
 @dataclass(frozen=True)
@@ -120,7 +122,8 @@ class HeldOut:
     train views. `folds` have the names of the views left out together. `before` and `after`: deviances of the views
     left out, by name, in order of azimuth. `images`: the views left out beside all that predicts them. `rivals`:
     whether there are bodies, which meet a box of their size. `fronts`: by body, its trial against itself turned round.
-    `not_asked`: what a limit of time left out. `ended`: why the search ended before every effect was asked."""
+    `box_held`: what the box's own search found; None where it had none. `not_asked`: what a limit of time left out.
+    `ended`: why the search ended before every effect was asked."""
 
     scene: Scene
     declared: Scene
@@ -133,6 +136,7 @@ class HeldOut:
     images: list[PredictedImage]
     rivals: bool = False
     fronts: dict[str, TrialStep] = field(default_factory=dict)
+    box_held: list[str] | None = None
     held: list[str] = field(default_factory=list)
     not_asked: list[str] = field(default_factory=list)
     ended: str = ""
@@ -154,8 +158,9 @@ class HeldOut:
 
     @property
     def undecided(self) -> bool:
-        """Whether a body has not met its box, so that no lead can be claimed."""
-        return self.rivals and self.of_box is None
+        """Whether a body has not met its box at its best, so that no lead can be claimed."""
+        box = self.of_box
+        return self.rivals and (box is None or (box.ahead and self.box_held is None))
 
     @property
     def explained(self) -> bool:
@@ -181,12 +186,17 @@ class FoldSearch:
         progress: Callable[[], object],
         log: RunLog | None = None,
         time_limit_s: float | None = None,
+        *,
+        of_rival: bool = False,
     ) -> None:
+        """`of_rival`: it is the search of a rival, which meets none itself."""
         self._log, self._time_limit_s = log or RunLog(), time_limit_s
+        self._whose = f"{BOXED}: " if of_rival else ""
         self._model: Model
         self._rivals: dict[str, Model] = {}  # as they were asked last
         self._met: Model | None = None  # the model that they were asked beside
         self._fronts: dict[str, TrialStep] = {}
+        self._box_held: list[str] | None = None
         self._doing = ""
         self.not_asked: list[str] = []  # what a limit of time left out, in words
         self.ended = ""  # why, before every effect was asked
@@ -196,7 +206,7 @@ class FoldSearch:
         self.folds = folds(self.trained.views, parts)
         self.order = [view.name for view in by_azimuth(self.trained.views)]
         self.numbers = numbers(self.start)
-        self.bodies = bodies(self.start)
+        self.bodies = [] if of_rival else bodies(self.start)
         self.steps: list[TrialStep] = []
         self.profiles: dict[str, Profile] = {}
         self.held: list[str] = []
@@ -233,6 +243,7 @@ class FoldSearch:
             images=self._images(models),
             rivals=bool(self.bodies),
             fronts=self._fronts,
+            box_held=self._box_held,
             held=list(dict.fromkeys(self.held)),
             not_asked=self.not_asked,
             ended=self.ended,
@@ -264,6 +275,8 @@ class FoldSearch:
         self._model = self._asked_again(self._model)
         if self._met is not self._model:
             self._meet_box()
+        if self._ahead_of_box():
+            self._search_box()
 
     def _images(self, models: Mapping[str, Sequence[Scene]]) -> list[PredictedImage]:
         """The views left out beside what models that have not seen them predict, and beside the rivals."""
@@ -360,7 +373,9 @@ class FoldSearch:
         noise = f", noise {one.noise:.4f}" if one.noise else ""
         how = ("asked again, " if one.again else "") + ("first part, " if one.glance else "")
         what = "worth to" if one.again else "gain of"
-        console.say(f"{one.label}: {how}{what} views left out {one.gain:+.4f} +- {one.error:.4f}{noise}: {verdict}")
+        console.say(
+            f"{self._whose}{one.label}: {how}{what} views left out {one.gain:+.4f} +- {one.error:.4f}{noise}: {verdict}"
+        )
 
     def _turn(self, model: Model, refused: set[str]) -> Model | None:
         """Try the hypotheses in the order of a first fit, until one stays; None where none does.
@@ -484,7 +499,9 @@ class FoldSearch:
             return offsets
         self.profiles |= profiles
         for one in profiles.values():
-            console.say(f"  {one.label}: {one.value:.4g} +- {one.half:.2g} {one.unit}, known as {one.known:.4g}")
+            console.say(
+                f"  {self._whose}{one.label}: {one.value:.4g} +- {one.half:.2g} {one.unit}, known as {one.known:.4g}"
+            )
         # what was fitted to other sizes would make anything seem likely that is fitted next
         self._model = min(moved, self._surely_fitted(now), key=_mean_score)
         return NEAR
@@ -528,18 +545,45 @@ class FoldSearch:
         self._doing = RIVALS
         self._rivals[BOX] = self._boxed()
         self._met = self._model
+        self._step_of_box(BOXED)
+
+    def _search_box(self) -> None:
+        """Take the box through a search of its own, from the surface and the effects of the file; the better of the two
+        boxes is the rival. It has the body's sizes as they were found."""
+        self._doing = SEARCHED
+        console.say(f"{SEARCHED}: effects that were chosen for the body hold it below its best")
+        whole, found = self.trained.whole, self.trained.finished(self._model.scenes[0])
+        boxed = as_box(replace(found, materials=whole.materials, effects=whole.effects), self.bodies)
+        search = FoldSearch(boxed, self.device, len(self.folds), self._progress, self._log, of_rival=True)
+        search._model = search._surely_fitted([search.start] * len(self.folds))
+        search._search()
+        self._rivals[BOX] = min((self._rivals[BOX], search._model), key=_mean_score)
+        self._box_held = list(dict.fromkeys(search.held))
+        self._step_of_box(SEARCHED)
+
+    def _step_of_box(self, label: str) -> None:
+        assert self._met is not None
         gain, error = _mean_and_error(self._met.scores - self._rivals[BOX].scores)
-        self.steps.append(TrialStep(BOXED, gain / EXPECTED, error / EXPECTED, 0.0, False))
+        self.steps.append(TrialStep(label, gain / EXPECTED, error / EXPECTED, 0.0, False))
         self._say()
 
     def _beaten(self) -> bool:
         """Whether the box that the model met predicts as well, and more than speckle is left. A body that is declared
         as a box is its own rival, which says nothing before the end."""
-        if self._met is None or self._met is self._rivals[BOX] or _is_speckle(self._met.scores / EXPECTED):
+        if self._met is None or _is_speckle(self._met.scores / EXPECTED):
             return False
-        models = {"model": self._met.scenes, BOX: self._rivals[BOX].scenes}
-        lead = advantage(self._images(models), rivals=(BOX,))
+        lead = self._over_box()
         return lead is not None and lead.correlation <= SURE * lead.error and lead.deviance <= 0.0
+
+    def _ahead_of_box(self) -> bool:
+        lead = self._over_box()
+        return lead is not None and lead.ahead
+
+    def _over_box(self) -> Advantage | None:
+        """How far the model that met the box is ahead of it; None where none was met, or the body is a box itself."""
+        if self._met is None or self._met is self._rivals[BOX]:
+            return None
+        return advantage(self._images({"model": self._met.scenes, BOX: self._rivals[BOX].scenes}), rivals=(BOX,))
 
     def _boxed(self) -> Model:
         """The rival that has every body as a box of its size. Bodies that are boxes are their own rivals."""
