@@ -144,9 +144,10 @@ def test_products_that_cannot_be_opened_are_named(tmp_path: Path) -> None:
     broken = tmp_path / "broken.SAFE"
     shutil.copytree(good, broken)
     next((broken / "annotation").glob("*.xml")).write_text("<product>")
-    result = warpsar.reflectors([good, broken], sites(tmp_path), engine=False)
+    result = warpsar.reflectors([good, broken, tmp_path / "gone.h5"], sites(tmp_path), engine=False)
     assert len(result.observations) == 1
     assert "broken.SAFE" in result.refused[0]
+    assert "gone.h5: no such file" in result.refused[1]
     with pytest.raises(InputError, match=r"no product can be measured:\n.*not readable as XML"):
         warpsar.reflectors([broken], sites(tmp_path))
     (tmp_path / "empty.SAFE").mkdir()

@@ -237,8 +237,8 @@ def _words(
     rivals = {one.cause.name: one for one in fitted if not one.cause.physical}
     mean = float(np.average(data.value, weights=1.0 / (data.sd**2 + best.scatter_db**2)))
     words = [
-        f"{len(data)} values of {len(np.unique(data.site))} reflector(s) lie {mean:+.2f} dB off the prediction on "
-        "average."
+        f"Values: {len(data)}, of reflectors: {len(np.unique(data.site))}. They lie {mean:+.2f} dB off the prediction "
+        "on average."
     ]
     words += together_words(found)
     words += attitude_words(attitudes)
