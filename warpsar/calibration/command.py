@@ -220,7 +220,7 @@ def _without_other_swaths(found: Sequence[ReflectorObservation]) -> list[Reflect
     def acquisition(one: ReflectorObservation) -> tuple[str, str, str | None, str]:
         return one.site.name, one.platform.split()[0], one.polarization, str(one.date)[:10]
 
-    inside = {acquisition(one) for one in found if one.status != "outside"}
+    inside = {acquisition(one) for one in found if one.status not in ("outside", "no orbit")}
     return [one for one in found if one.status != "outside" or acquisition(one) not in inside]
 
 

@@ -246,14 +246,17 @@ def _measured(
         slice(max(int(at - need) - low, 0), int(np.ceil(at + need)) - low + 1)
         for at, need, low in zip((expected.line, expected.pixel), needed, start, strict=True)
     )
-    bad = ~np.isfinite(raw) | (raw == 0)
+    bad = ~np.isfinite(raw) | ((raw == 0) if np.iscomplexobj(raw) else (raw <= 0))
     if bad[box].mean() > 0.25 or not np.isfinite(raw[box]).all():
-        reason = f"{int(bad[box].sum())} of {bad[box].size} samples about it are zero or not finite"
+        reason = f"{int(bad[box].sum())} of {bad[box].size} samples about it are zero, below zero, or not finite"
         return replace(placed, status="masked", reason=reason)
     raw = np.where(np.isfinite(raw), raw, 0)
     largest = np.maximum(np.abs(raw.real), np.abs(raw.imag)) if np.iscomplexobj(raw) else raw
-    if product.top is not None and (largest[box] >= product.top).any():
-        reason = f"a sample about it has the largest number of the format, {product.top:g}"
+    top = product.top
+    if top is None and np.issubdtype(largest.dtype, np.floating):
+        top = float(np.finfo(largest.dtype).max)
+    if top is not None and (largest[box] >= top).any():
+        reason = f"a sample about it has the largest number of the format, {top:g}"
         return replace(placed, status="saturated", reason=reason)
     radiometry = product.radiometry or radiometry
     factor = to_beta0(radiometry, expected.incidence_deg)
