@@ -158,7 +158,10 @@ def test_what_isce3s_layout_cannot_say_is_named(tmp_path: Path) -> None:
         (OWN + "A,46,12,250,,,,,,\nA,46,12,250,,,,,,\n", "line 3: id: found 'A', as in line 2; must be there once"),
         (NISAR.replace(", 7,", ", 32,"), "line 2: validity: found '32'; must be a number from 0 to 31"),
         (GECORIS.replace("SQUAREFLIPPED", "SQUAREBASED"), "crshape: found 'SQUAREBASED'"),
-        (OWN.replace("leg_m", "leg") + "A,46,12,250,256,10,square,1,,\n", "found the column 'leg'; did you mean leg_m?"),
+        (
+            OWN.replace("leg_m", "leg") + "A,46,12,250,256,10,square,1,,\n",
+            "found the column 'leg'; did you mean leg_m?",
+        ),
         (OWN.replace("azimuth", "azimut") + "A,46,12,250,256,,,,,\n", "column 'azimut_deg'; did you mean azimuth_deg?"),
         (OWN.replace("tilt", "elevation") + "A,46,12,250,256,45,,,,\n", "column 'elevation_deg'; must be tilt_deg"),
         (OWN.replace(",", ";") + "A;46;12;250;256;45;;;;\n", "found cells with ';' between them; must be commas"),

@@ -24,7 +24,7 @@ from warpsar.calibration.joint import (
     values_words,
 )
 from warpsar.calibration.measure import ReflectorObservation
-from warpsar.calibration.turns import AttitudeSolution, attitude_solutions, attitude_words
+from warpsar.calibration.turns import AttitudeSolution, attitude_solutions, attitude_words, over_attitudes
 from warpsar.calibration.unpredicted import Unpredicted, unpredicted
 
 F64 = NDArray[np.float64]
@@ -133,6 +133,7 @@ def explain(observations: Sequence[ReflectorObservation]) -> Explanation:
     tied = _ties(fitted, data)
     found = joint(data, causes, _situations(data), trials)
     attitudes = attitude_solutions(found, data)
+    found = over_attitudes(found, attitudes)
     words = _words(fitted, tied, bad, data, found, attitudes) + more
     return Explanation(
         tuple(fitted), tuple(tied), tuple(bad), tuple(words), len(data), data, found, tuple(attitudes), bare

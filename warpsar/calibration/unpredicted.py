@@ -41,13 +41,14 @@ class UnevenSeries:
     def words(self) -> str:
         """What it may be: its own power does not tell that apart."""
         (bright_date, bright), (weak_date, weak) = self.brightest, self.weakest
-        turn = f"a turn (by {self.turn_deg:.0f} deg in azimuth, from the boresight), " if self.turn_deg > 0.0 else ""
+        turn = f"A turn (by {self.turn_deg:.0f} deg in azimuth, from the boresight), water or dirt, and a bent plate"
+        tied = turn if self.turn_deg > 0.0 else "Water or dirt, and a bent plate"
         name = f"{self.site}, {self.polarization}" if self.polarization else self.site
         return (
             f"{name}: no prediction; its RCS is not the same at all dates: {bright:.1f} dBsm on {bright_date}, "
-            f"{bright - weak:.1f} dB less on {weak_date} (clutter and {USUAL_SCATTER_DB:.2f} dB of scatter would have it "
-            f"with a chance of {self.chance:.0e}). {turn.capitalize()}{'w' if turn else 'W'}ater or dirt, and a bent plate "
-            "could each stand for it; a survey of its attitude, or a look at its plates, would decide."
+            f"{bright - weak:.1f} dB less on {weak_date} (clutter and {USUAL_SCATTER_DB:.2f} dB of scatter would have "
+            f"it with a chance of {self.chance:.0e}). {tied} could each stand for it; a survey of its attitude, or a "
+            "look at its plates, would decide."
         )
 
     def content(self) -> dict[str, object]:
