@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import warpsar
-from warpsar.calibration.attitude import Facing, trihedral_rcs_m2
+from warpsar.calibration.attitude import Facing, trihedral_rcs_m2, turn_that_loses_deg
 from warpsar.calibration.differences import Differences, bad_dates
 from warpsar.calibration.engine import engine_rcs_m2
 from warpsar.calibration.explain import Explanation, explain
@@ -92,6 +92,7 @@ def coral() -> None:
     found = warpsar.reflectors(products, [unknown], radiometry="sigma0", allowance_m=(20.0, 15.0))
     (serf,) = found.found
     print(serf.words)
+    print("\n".join(found.explanation.words))
     place = serf.site.geodetic(last.epoch)
     at = last.to_image(place)
     print(f"line {at.line:.2f}, pixel {at.pixel:.2f} of the last image; chance {serf.chance:.1e}")
@@ -128,17 +129,7 @@ def faded(observations: tuple[ReflectorObservation, ...]) -> None:
     used = [one for one in observations if one.status == "measured" and one.point is not None]
     levels = np.array([10.0 * np.log10(one.point.rcs_m2) for one in used if one.point is not None])
     fall = levels[0] - levels[-1]
-    wavelength, facing = 0.05546576, Facing(0.0)
-    best = facing.boresight()
-    turns = np.arange(0.0, 45.0, 0.1)
-    up = np.degrees(np.arcsin(best[2]))
-    areas = []
-    for turn in turns:
-        a, e = np.deg2rad([turn, up])
-        look = np.array([np.sin(a) * np.cos(e), np.cos(a) * np.cos(e), np.sin(e)])
-        areas.append(float(trihedral_rcs_m2("triangular", 1.0, facing, look, wavelength)))
-    loss = 10.0 * np.log10(areas[0] / np.array(areas))
-    needed = float(turns[int(np.argmax(loss > fall))])
+    wavelength, needed = 0.05546576, turn_that_loses_deg("triangular", fall)
     leg = (10 ** (levels[0] / 10) * 3 * wavelength**2 / (4 * np.pi)) ** 0.25
     print(f"fall {fall:.1f} dB: a turn of {needed:.0f} deg from boresight, or a loss, or a leg of it bent; tied here")
     print(f"a triangular trihedral on boresight of that RCS has legs of {leg:.2f} m")

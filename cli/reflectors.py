@@ -10,7 +10,7 @@ from warpsar.cli import options
 
 
 @click.command(name="reflectors", short_help="Measure corner reflectors, predict them, explain the difference.")
-@click.argument("products", nargs=-1, required=True, type=click.Path(exists=True, path_type=Path))
+@click.argument("products", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option(
     "--sites",
     required=True,

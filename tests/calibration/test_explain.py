@@ -148,7 +148,7 @@ def test_bad_dates_are_set_aside() -> None:
 
 
 def test_nothing_to_explain() -> None:
-    assert explain([]).words == ("Nothing can be explained: no reflector is measured and predicted.",)
+    assert explain([]).words == ("No difference can be explained: no reflector is measured and predicted.",)
 
 
 def test_geolocation_and_a_reflector_that_moved() -> None:

@@ -49,7 +49,7 @@ def test_a_level_is_foretold_by_students_interval() -> None:
 def test_too_few_earlier_values_foretell_nothing() -> None:
     found = forecast([unpredicted(0, 30.0), unpredicted(24, 30.0), unpredicted(120, 30.0)], SINCE)
     assert (found.values, found.not_foretold) == ((), 1)
-    assert "1 values have fewer than 3 earlier ones" in found.words[0]
+    assert found.words[0].endswith("their reflector and pass have fewer than 3 earlier values: 1.")
 
 
 @pytest.mark.full

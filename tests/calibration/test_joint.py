@@ -15,7 +15,7 @@ from warpsar.calibration.geolocation import geolocation
 from warpsar.calibration.joint import CauseModel, Trials, asked_again, fit_model, joint
 from warpsar.calibration.measure import ReflectorObservation
 from warpsar.calibration.scatter import ErrorCovariance, ExtraScatter
-from warpsar.calibration.turns import attitude_solutions
+from warpsar.calibration.turns import attitude_solutions, over_attitudes
 
 pytestmark = pytest.mark.unit
 
@@ -127,13 +127,19 @@ def test_two_passes_leave_two_attitudes_and_one_pass_a_ring() -> None:
         return float(10 * np.log10(areas[0] / areas[1]))
 
     data = made(off)
-    regions = attitude_solutions(joint(data, causes), data)
+    found = joint(data, causes)
+    regions = attitude_solutions(found, data)
     assert regions
     assert {one.passes for one in regions} == {2}
     assert any(
         one.turn_range_deg[0] <= 4.5 <= one.turn_range_deg[1] and one.tilt_range_deg[0] <= -6 <= one.tilt_range_deg[1]
         for one in regions
     )
+    (named,) = (one for one in over_attitudes(found, regions).causes if one.cause.name == "attitude of A")
+    assert np.all((named.low <= (4.5, -6.0)) & (named.high >= (4.5, -6.0)))
+    for one in regions:
+        assert named.low[0] <= one.turn_deg <= named.high[0]
+        assert named.low[1] <= one.tilt_deg <= named.high[1]
     single = data.part(data.look[:, 0] > 0.0)
     ring = attitude_solutions(joint(single, causes), single)
     assert [one.passes for one in ring] == [1] * len(ring)

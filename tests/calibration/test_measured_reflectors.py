@@ -44,6 +44,10 @@ def test_the_reflector_of_coral_is_found_in_place_and_date(measured_data: Path) 
     with (data / "authors_values.csv").open() as file:
         theirs = [float(row["rcs_dbsm"]) for row in csv.DictReader(file)]
     ours = [10 * np.log10(one.point.rcs_m2) for one in found if one.status == "measured" and one.point is not None]
+    assert result.explanation.unpredicted is not None
+    (fading,) = result.explanation.unpredicted.uneven  # its size is not known, so it is compared with itself
+    assert (fading.brightest[0], fading.weakest[0]) == ("2018-08-19", "2018-09-12")
+    assert fading.brightest[1] - fading.weakest[1] == pytest.approx(6.1, abs=0.3)
     # 0.26 dB of incidence; windows differ by 0.2 dB of sidelobes and clutter.
     np.testing.assert_allclose(np.array(theirs[2:]) - ours, 0.15, atol=0.3)
 

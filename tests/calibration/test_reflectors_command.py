@@ -100,6 +100,30 @@ def test_gamma_says_no_radiometry(tmp_path: Path) -> None:
     assert 10 * np.log10(one.point.rcs_m2) == pytest.approx(36.0, abs=0.7)
 
 
+def test_pixels_that_no_radar_makes_are_masked_or_saturated(tmp_path: Path) -> None:
+    """Power below zero, nothing but zeros, a hole of NaN, and the largest float."""
+    broken = {"negative": "masked", "zero": "masked", "hole": "masked", "huge": "saturated", "good": "measured"}
+    statuses = {}
+    for name in broken:
+        folder = tmp_path / name
+        folder.mkdir()
+        path = gamma_image(folder, 36.0, 51.4691)
+        power = np.fromfile(path, ">f4").reshape(Band().lines, Band().pixels)
+        line, pixel = (round(at) for at in Band().centre)
+        if name == "negative":
+            power = -power
+        elif name == "zero":
+            power = 0 * power
+        elif name == "hole":
+            power[line, pixel] = np.nan
+        elif name == "huge":
+            power[line, pixel] = np.finfo(np.float32).max
+        power.astype(">f4").tofile(path)
+        (one,) = warpsar.reflectors(path, sites(tmp_path), engine=False, radiometry="sigma0").observations
+        statuses[name] = one.status
+    assert statuses == broken
+
+
 def test_what_cannot_be_measured_is_one_line_and_the_others_go_on(tmp_path: Path) -> None:
     """Outside, without orbit, without calibration, masked, saturated: each its status; the good one is measured."""
     good, bare, lost, masked, loud = (tmp_path / name for name in ("good", "bare", "lost", "masked", "loud"))
@@ -131,7 +155,7 @@ def test_what_cannot_be_measured_is_one_line_and_the_others_go_on(tmp_path: Path
         "2024-03-08": "masked",
         "2024-03-09": "saturated",
     }
-    assert {row["status"] for row in rows if row["id"] == "FAR"} == {"outside", "no orbit"}
+    assert [row["status"] for row in rows if row["id"] == "FAR"] == ["outside"] * 2 + ["no orbit"] + ["outside"] * 2
     for word in ("masked", "saturated", "no calibration", "no state vectors", "FAR"):
         assert word in run.output
     said = [line for line in run.output.splitlines() if line.startswith("warning: ")]
@@ -144,9 +168,10 @@ def test_products_that_cannot_be_opened_are_named(tmp_path: Path) -> None:
     broken = tmp_path / "broken.SAFE"
     shutil.copytree(good, broken)
     next((broken / "annotation").glob("*.xml")).write_text("<product>")
-    result = warpsar.reflectors([good, broken], sites(tmp_path), engine=False)
+    result = warpsar.reflectors([good, broken, tmp_path / "gone.h5"], sites(tmp_path), engine=False)
     assert len(result.observations) == 1
     assert "broken.SAFE" in result.refused[0]
+    assert "gone.h5: no such file" in result.refused[1]
     with pytest.raises(InputError, match=r"no product can be measured:\n.*not readable as XML"):
         warpsar.reflectors([broken], sites(tmp_path))
     (tmp_path / "empty.SAFE").mkdir()

@@ -158,11 +158,23 @@ def test_what_isce3s_layout_cannot_say_is_named(tmp_path: Path) -> None:
         (OWN + "A,46,12,250,,,,,,\nA,46,12,250,,,,,,\n", "line 3: id: found 'A', as in line 2; must be there once"),
         (NISAR.replace(", 7,", ", 32,"), "line 2: validity: found '32'; must be a number from 0 to 31"),
         (GECORIS.replace("SQUAREFLIPPED", "SQUAREBASED"), "crshape: found 'SQUAREBASED'"),
+        (
+            OWN.replace("leg_m", "leg") + "A,46,12,250,256,10,square,1,,\n",
+            "found the column 'leg'; did you mean leg_m?",
+        ),
+        (OWN.replace("azimuth", "azimut") + "A,46,12,250,256,,,,,\n", "column 'azimut_deg'; did you mean azimuth_deg?"),
+        (OWN.replace("tilt", "elevation") + "A,46,12,250,256,45,,,,\n", "column 'elevation_deg'; must be tilt_deg"),
+        (OWN.replace(",", ";") + "A;46;12;250;256;45;;;;\n", "found cells with ';' between them; must be commas"),
     ],
 )
 def test_what_is_refused(text: str, message: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"sites\.csv.*" + message):
         read(write(tmp_path, text))
+
+
+def test_columns_of_the_users_own_are_left_alone(tmp_path: Path) -> None:
+    (one,) = read(write(tmp_path, OWN.strip() + ",comment,incidence_deg\nA,46,12,250,256,10,square,1.5,,,old,38\n"))
+    assert (one.leg_m, one.shape) == (1.5, "square")
 
 
 def test_a_file_that_is_none(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ chance.py       how often values without a cause look as if they had one
 joint.py        causes fitted together: what earlier dates need and later ones confirm
 turns.py        all attitudes that fit
 forecast.py     later dates foretold from earlier ones
+unpredicted.py  reflectors without a prediction, compared with themselves
 explain.py      the causes alone and together, and what is tied
 places.py       what may move places
 geolocation.py  how far reflectors lie off orbit and survey

@@ -85,3 +85,13 @@ def trihedral_rcs_m2(shape: Shape, leg_m: float, facing: Facing, toward_radar: A
     """
     area = effective_area_m2(shape, leg_m, facing.cosines(toward_radar))
     return np.asarray(4.0 * np.pi * area**2 / wavelength_m**2)
+
+
+def turn_that_loses_deg(shape: Shape, loss_db: float) -> float:
+    """Turn in azimuth from the boresight of an upright trihedral that takes so much of its RCS [deg]; NaN beyond 44."""
+    facing, turns = Facing(0.0), np.linspace(0.0, 44.0, 441)
+    up = np.arcsin(facing.boresight()[2])
+    a = np.deg2rad(turns)
+    looks = np.stack([np.sin(a) * np.cos(up), np.cos(a) * np.cos(up), np.full_like(a, np.sin(up))], axis=-1)
+    areas = trihedral_rcs_m2(shape, 1.0, facing, looks, 1.0)
+    return float(np.interp(loss_db, 10.0 * np.log10(areas[0] / areas), turns, right=np.nan))

@@ -220,7 +220,7 @@ def _without_other_swaths(found: Sequence[ReflectorObservation]) -> list[Reflect
     def acquisition(one: ReflectorObservation) -> tuple[str, str, str | None, str]:
         return one.site.name, one.platform.split()[0], one.polarization, str(one.date)[:10]
 
-    inside = {acquisition(one) for one in found if one.status != "outside"}
+    inside = {acquisition(one) for one in found if one.status not in ("outside", "no orbit")}
     return [one for one in found if one.status != "outside" or acquisition(one) not in inside]
 
 
@@ -319,7 +319,8 @@ def run(
     )  # fmt: skip
     console.say_written(out, "report.html", "reflectors.csv", "reflectors.json", "sites_isce3.csv")
     counted = [one.status == "measured" for one in result.observations]
-    measured = f"{int(np.sum(counted))} of {len(counted)} reflectors measured"
+    names, images = {one.site.name for one in result.observations}, {one.source for one in result.observations}
+    measured = f"{int(np.sum(counted))} of {len(counted)} measured: reflectors {len(names)}, images {len(images)}"
     said = [one.words for one in result.found] + [one.words for one in result.presence]
     foretold = () if result.held_back is None else result.held_back.words
     print("\n".join([measured, *said, *result.explanation.words, *foretold]))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -116,6 +116,11 @@ class Differences:
 
     def __len__(self) -> int:
         return self.value.size
+
+
+def over_1_m2(one: ReflectorObservation) -> ReflectorObservation:
+    """Without a prediction the RCS itself is the value."""
+    return one if one.predicted_m2 else replace(one, closed_form_m2=1.0, engine_m2=None)
 
 
 def images_of(observations: Sequence[ReflectorObservation]) -> NDArray[np.int64]:

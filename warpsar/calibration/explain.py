@@ -24,7 +24,8 @@ from warpsar.calibration.joint import (
     values_words,
 )
 from warpsar.calibration.measure import ReflectorObservation
-from warpsar.calibration.turns import AttitudeSolution, attitude_solutions, attitude_words
+from warpsar.calibration.turns import AttitudeSolution, attitude_solutions, attitude_words, over_attitudes
+from warpsar.calibration.unpredicted import Unpredicted, unpredicted
 
 F64 = NDArray[np.float64]
 TIED = float(chdtri(1.0, 0.05))
@@ -93,6 +94,8 @@ class Explanation:
     """Causes together."""
     attitudes: tuple[AttitudeSolution, ...] = ()
     """All attitudes that fit, where an attitude is a cause or could stand for one."""
+    unpredicted: Unpredicted | None = None
+    """Reflectors without a prediction."""
 
     def content(self) -> dict[str, object]:
         return {
@@ -103,6 +106,7 @@ class Explanation:
             "bad_dates": [one.content() for one in self.bad_dates],
             "joint": None if self.joint is None else self.joint.content(),
             "attitudes": [one.content() for one in self.attitudes],
+            "unpredicted": None if self.unpredicted is None else self.unpredicted.content(),
         }
 
 
@@ -111,12 +115,15 @@ def explain(observations: Sequence[ReflectorObservation]) -> Explanation:
 
     Bad dates are set aside first. Every cause is then fitted alone, and all are fitted together (`joint`), by the
     likelihood of a Gaussian with clutter and noise, a scatter from value to value, and one from image to image. Causes
-    alone are ranked by BIC.
+    alone are ranked by BIC. Reflectors without a prediction are compared with themselves (`unpredicted`).
     """
     all_of_them, missing = Differences.of(observations), absent(observations)
+    bare = unpredicted(observations)
+    more = [*(() if bare is None else bare.words), *_turned_away(observations)]
+    missing += () if bare is None else bare.bad_dates
     if len(all_of_them) < 1:
-        nothing = "Nothing can be explained: no reflector is measured and predicted."
-        return Explanation((), (), tuple(missing), (nothing, *_turned_away(observations)), 0)
+        nothing = "No difference can be explained: no reflector is measured and predicted."
+        return Explanation((), (), tuple(missing), (nothing, *more), 0, unpredicted=bare)
     bad, good = bad_dates(all_of_them)
     bad = sorted([*missing, *bad], key=lambda one: (one.site, one.date))
     data = all_of_them.part(good)
@@ -126,8 +133,11 @@ def explain(observations: Sequence[ReflectorObservation]) -> Explanation:
     tied = _ties(fitted, data)
     found = joint(data, causes, _situations(data), trials)
     attitudes = attitude_solutions(found, data)
-    words = _words(fitted, tied, bad, data, found, attitudes) + _turned_away(observations)
-    return Explanation(tuple(fitted), tuple(tied), tuple(bad), tuple(words), len(data), data, found, tuple(attitudes))
+    found = over_attitudes(found, attitudes)
+    words = _words(fitted, tied, bad, data, found, attitudes) + more
+    return Explanation(
+        tuple(fitted), tuple(tied), tuple(bad), tuple(words), len(data), data, found, tuple(attitudes), bare
+    )
 
 
 def _turned_away(observations: Sequence[ReflectorObservation]) -> list[str]:
@@ -228,8 +238,8 @@ def _words(
     rivals = {one.cause.name: one for one in fitted if not one.cause.physical}
     mean = float(np.average(data.value, weights=1.0 / (data.sd**2 + best.scatter_db**2)))
     words = [
-        f"{len(data)} values of {len(np.unique(data.site))} reflector(s) lie {mean:+.2f} dB off the prediction on "
-        "average."
+        f"Values: {len(data)}, of reflectors: {len(np.unique(data.site))}. They lie {mean:+.2f} dB off the prediction "
+        "on average."
     ]
     words += together_words(found)
     words += attitude_words(attitudes)

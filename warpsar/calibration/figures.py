@@ -154,6 +154,7 @@ def incidence_figure(observations: Sequence[ReflectorObservation], explanation: 
         axes.plot(data.incidence_deg, explanation.joint.fit.fitted, "k_", ms=9, label="causes together")
     axes.axhline(0.0, color="0.6", lw=0.8)
     axes.locator_params(axis="x", nbins=5)
+    axes.ticklabel_format(axis="x", useOffset=False)
     axes.set_xlabel("incidence [deg]")
     axes.set_ylabel("measured / predicted [dB]")
     axes.grid(alpha=0.3)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.special import stdtr, stdtrit
 
 from warpsar.calibration.causes import causes, changes
-from warpsar.calibration.differences import SAME_PASS, Differences, bad_dates
+from warpsar.calibration.differences import SAME_PASS, Differences, bad_dates, over_1_m2
 from warpsar.calibration.explain import Explanation
 from warpsar.calibration.joint import CONFIDENCE, CauseFit, Trials, fits_alone
 from warpsar.calibration.measure import ReflectorObservation
@@ -88,14 +88,13 @@ def forecast(
     used = [one for one in observations if one.stands and one.site.for_power and one.calibrated]
     values: list[ForetoldValue] = []
     for predicted in (True, False):
-        some = [_over_1_m2(one) for one in used if (one.predicted_m2 is not None) == predicted]
+        some = [over_1_m2(one) for one in used if bool(one.predicted_m2) == predicted]
         early = [one for one in some if one.date < since]
         late = [one for one in some if one.date >= since]
         values += _foretold(early, late, explanation if predicted else None)
     values.sort(key=lambda one: (one.observation.site.name, one.observation.date))
     count, date = len(values), str(since)[:10]
     left = sum(bool(one.date >= since) for one in used) - count
-    few = f"have fewer than {FEWEST_VALUES} earlier ones of their reflector and pass, and are not foretold"
     words = []
     if count:
         inside, level = (sum(getattr(one, name) for one in values) for name in ("inside", "level_inside"))
@@ -107,13 +106,11 @@ def forecast(
             f"{level} of {count}, {plain:.1f} dB wide."
         )
     if left or not count:
-        words.append(f"Held back from {date} on: {left} values {few}.")
+        words.append(
+            f"Held back from {date} on: not foretold, as their reflector and pass have fewer than {FEWEST_VALUES} "
+            f"earlier values: {left}."
+        )
     return Forecast(date, tuple(values), left, tuple(words))
-
-
-def _over_1_m2(one: ReflectorObservation) -> ReflectorObservation:
-    """Without a prediction the RCS itself is the value."""
-    return one if one.predicted_m2 is not None else replace(one, closed_form_m2=1.0)
 
 
 def _bounded(one: ReflectorObservation) -> ReflectorObservation:

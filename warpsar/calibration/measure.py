@@ -132,7 +132,7 @@ def observe(
         expected = product.to_image(site.geodetic(date))
     except InputError as error:
         status: Status = "no orbit" if product.orbit is None else "outside"
-        return replace(blank, status=status, reason=str(error))
+        return replace(blank, status=status, reason=str(error).removeprefix(f"{product.source}: "))
     facing = site.facing(expected.toward_radar)
     predicted = None
     if facing is not None and site.leg_m is not None:
@@ -232,25 +232,31 @@ def _measured(
         at - need < low - 0.5 or at + need > high - 0.5
         for at, need, low, high in zip((expected.line, expected.pixel), needed, start, stop, strict=True)
     ):
-        reason = f"it would lie at line {expected.line:.1f}, pixel {expected.pixel:.1f}; the window reaches beyond"
+        reason = (
+            f"it would lie at line {expected.line:.1f}, pixel {expected.pixel:.1f}; what is searched and integrated "
+            f"about it (allowance {allowance_m[0]:g} m, {allowance_m[1]:g} m) reaches beyond"
+        )
         return replace(placed, status="too near the edge", reason=reason)
     try:
         raw = np.asarray(samples[slice(start[0], stop[0]), slice(start[1], stop[1])])
     except InputError as error:  # a file that was cut off
-        return replace(placed, status="no image", reason=str(error))
+        return replace(placed, status="no image", reason=str(error).removeprefix(f"{product.source}: "))
     lines, pixels = np.arange(start[0], stop[0]), np.arange(start[1], stop[1])
     box = tuple(
         slice(max(int(at - need) - low, 0), int(np.ceil(at + need)) - low + 1)
         for at, need, low in zip((expected.line, expected.pixel), needed, start, strict=True)
     )
-    bad = ~np.isfinite(raw) | (raw == 0)
+    bad = ~np.isfinite(raw) | ((raw == 0) if np.iscomplexobj(raw) else (raw <= 0))
     if bad[box].mean() > 0.25 or not np.isfinite(raw[box]).all():
-        reason = f"{int(bad[box].sum())} of {bad[box].size} samples about it are zero or not finite"
+        reason = f"{int(bad[box].sum())} of {bad[box].size} samples about it are zero, below zero, or not finite"
         return replace(placed, status="masked", reason=reason)
     raw = np.where(np.isfinite(raw), raw, 0)
     largest = np.maximum(np.abs(raw.real), np.abs(raw.imag)) if np.iscomplexobj(raw) else raw
-    if product.top is not None and (largest[box] >= product.top).any():
-        reason = f"a sample about it has the largest number of the format, {product.top:g}"
+    top = product.top
+    if top is None and np.issubdtype(largest.dtype, np.floating):
+        top = float(np.finfo(largest.dtype).max)
+    if top is not None and (largest[box] >= top).any():
+        reason = f"a sample about it has the largest number of the format, {top:g}"
         return replace(placed, status="saturated", reason=reason)
     radiometry = product.radiometry or radiometry
     factor = to_beta0(radiometry, expected.incidence_deg)

@@ -389,7 +389,7 @@ def _clutter(
     taken = [(each > out) & (each <= within) for each in off]
     corners = power[taken[0][:, None] & taken[1]]
     corners = corners[np.isfinite(corners)]
-    if corners.size == 0:
+    if corners.size == 0 or corners.mean() <= 0.0:
         return 0.0, 1.0
     for _ in range(3):
         corners = corners[corners <= OUTLIER * corners.mean()]

@@ -278,7 +278,8 @@ def settled(
     found: FoundPlace, observations: Sequence[ReflectorObservation], products: dict[str, Product]
 ) -> FoundPlace:
     """With the place that the dates have on average at which it is measured, and its interval."""
-    used = [one for one in observations if one.status == "measured" and one.stands and one.point and one.expected]
+    seen = [one for one in observations if one.point and one.point.seen and one.expected]
+    used = [one for one in seen if one.status in ("measured", "no calibration") and one.stands]
     if not used:
         return found
     same = [one for one in used if _look(one) @ _look(used[0]) > SAME_PASS]

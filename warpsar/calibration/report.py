@@ -67,7 +67,7 @@ def write_report(
     """`content` is that of reflectors.json, `command` the words that made it."""
     sites = dict.fromkeys(one.site.name for one in observations)
     dates = {str(one.date)[:10] for one in observations}
-    lead = f"warpsar reflectors {content['version']}; {len(sites)} reflectors, {len(dates)} dates"
+    lead = f"warpsar reflectors {content['version']}; reflectors {len(sites)}, dates {len(dates)}"
     sections = [
         _summary(observations, explanation, placed, content, held_back),
         _series(observations, explanation, held_back),

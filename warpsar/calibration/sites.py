@@ -7,6 +7,7 @@ import io
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 from pathlib import Path
 
 import numpy as np
@@ -56,7 +57,11 @@ COLUMNS = (
     "from",
     "until",
 )
-"""Of our own layout; the last six may be missing, and `flipped` and `search_m` may stand beside them."""
+"""Of our own layout; the last six may be missing."""
+MORE_COLUMNS = ("flipped", "search_m")
+"""Which may stand beside them."""
+NEARLY = 0.85
+"""Of the letters of a column's name: a wrong letter or two. incidence_deg is no longitude_deg."""
 
 
 @dataclass(frozen=True)
@@ -158,11 +163,15 @@ def read(path: Path) -> list[ReflectorSite]:
         missing = [name for name in COLUMNS[:4] if name not in header]
         unknown = [name for name in header if name not in COLUMNS]
         near = next((f"{hint}" for name in unknown if (hint := did_you_mean(name, missing))), "")
+        if len(rows[0][1]) == 1 and (mark := next((mark for mark in ";\t|" if mark in rows[0][1][0]), None)):
+            raise InputError(f"{path}: line {rows[0][0]}: found cells with {mark!r} between them; must be commas")
         raise InputError(
             f"{path}: line {rows[0][0]}: found the columns {', '.join(rows[0][1])[:200]}, without "
             f"{', '.join(missing)}; must have {', '.join(COLUMNS[:4])}, or be a table of GECORIS, UAVSAR, ISCE3 or "
             f"NISAR{near}"
         )
+    if layout is _own:
+        _refuse_misspelt(path, rows[0][0], header)
     sites = [layout(_Row(path, line, dict(zip(header, row, strict=False)))) for line, row in rows[1:]]
     seen: dict[tuple[str, np.datetime64 | None], int] = {}
     for (line, _), one in zip(rows[1:], sites, strict=True):
@@ -171,6 +180,21 @@ def read(path: Path) -> list[ReflectorSite]:
             raise InputError(f"{path}: line {line}: id: found {shown(one.name)}, as in line {first}; must be {allowed}")
         seen[one.name, one.surveyed] = line
     return sites
+
+
+def _refuse_misspelt(path: Path, line: int, header: Sequence[str]) -> None:
+    """A column that is nearly one of ours would be left out in silence; other columns are the user's own."""
+    known = {name.removesuffix("_deg").removesuffix("_m"): name for name in (*COLUMNS, *MORE_COLUMNS)}
+    for name in (one for one in header if one not in known.values()):
+        stem = name.removesuffix("_deg").removesuffix("_m")
+        close = [known[stem]] if stem in known else get_close_matches(name, known.values(), 1, NEARLY)
+        if stem == "elevation":
+            raise InputError(
+                f"{path}: line {line}: found the column {shown(name)}; must be tilt_deg: of an upright trihedral the "
+                "boresight's elevation less 35.26 degrees"
+            )
+        if close:
+            raise InputError(f"{path}: line {line}: found the column {shown(name)}; did you mean {close[0]}?")
 
 
 def _is_bare(cells: Sequence[str]) -> bool:

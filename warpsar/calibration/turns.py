@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,6 +67,23 @@ def attitude_solutions(found: JointFit, data: Differences) -> list[AttitudeSolut
         if attitude is not None:
             made += _regions(attitude, site, left, found, data)
     return made
+
+
+def over_attitudes(found: JointFit, solutions: Sequence[AttitudeSolution]) -> JointFit:
+    """With intervals of attitudes that reach over all regions: a fit lies in one of them, the truth in any."""
+    made = []
+    for one in found.causes:
+        own = [each for each in solutions if one.cause.name == f"attitude of {each.site}"]
+        if own:
+            first = np.array([(each.turn_range_deg[0], each.tilt_range_deg[0]) for each in own]).min(axis=0)
+            last = np.array([(each.turn_range_deg[1], each.tilt_range_deg[1]) for each in own]).max(axis=0)
+            first, last = np.maximum(first, one.cause.low), np.minimum(last, one.cause.high)
+            one = replace(
+                one, low=np.minimum(one.low, first), high=np.maximum(one.high, last),
+                given_low=np.minimum(one.given_low, first), given_high=np.maximum(one.given_high, last),
+            )  # fmt: skip
+        made.append(one)
+    return replace(found, causes=tuple(made))
 
 
 def _attitude_of(name: str, data: Differences) -> Cause | None:
