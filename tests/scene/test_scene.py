@@ -218,6 +218,7 @@ def test_everything_wrong_with_the_files_is_said_at_once(folder: Path) -> None:
     assert "images.HH" in message
     assert "mask" in message
     assert "found roof, ground; must be those of the mesh" in message
+    assert "ground, wall; no roof" in message
     assert "ground, wall" in message
 
 
@@ -226,6 +227,14 @@ def test_no_scene_file(tmp_path: Path, data: bytes, found: str) -> None:
     path = tmp_path / "scene.toml"
     path.write_bytes(data)
     assert found in refusal(path)
+
+
+@pytest.mark.parametrize("name", ["house.obj", "house.STL"])
+def test_a_mesh_in_place_of_a_scene_file(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_bytes(b"v 0 0 0\n")
+    assert f"found a mesh; must be a scene file: warpsar new FOLDER {name} writes one for it" in refusal(
+        tmp_path / name
+    )
 
 
 def test_no_file_at_all(tmp_path: Path) -> None:

@@ -36,9 +36,9 @@ INCIDENCE_DEG = 40.0
 NESZ_DB = -22.0  # Sentinel-1's, of a scene for no sensor in particular
 PIXELS_PER_WIDTH = 2.0  # of the resolution: no pixel is smaller
 WAVELENGTHS_PER_WIDTH = 2.0
-"""Of the finest resolution where no sensor is stated. It is c / (2 B) in range. The band B of imaging radars is a quarter
-of their frequency at most, so they resolve two wavelengths or more; and a patch of a surface that is smaller than a
-wavelength has no cross-section of its own."""
+"""Of the finest resolution where no sensor is stated. It is c / (2 B) in range. The band B of imaging radars is a
+quarter of their frequency at most, so they resolve two wavelengths or more; and a patch of a surface that is smaller
+than a wavelength has no cross-section of its own."""
 FEW_PIXELS = 32  # across the mesh: fewer show hardly more than a blot
 AZIMUTHS_DEG = (20.0, 140.0, 260.0)  # no side of a building that faces north lies straight across
 
@@ -102,7 +102,9 @@ azimuth_fwhm_m = {widths[1]:g}
 _STATED_WIDTHS = "The resolution that is stated"
 _WIDTHS_OF_PIXELS = "The resolution: two pixels. State that of your radar"
 _SENSOR_PIXELS = "no pixel is smaller than half of the sensor's resolution"
-_OWN_PIXELS = "no pixel is smaller than a wavelength, as no radar resolves less than about two ({wavelength:.3g} m each)"
+_OWN_PIXELS = (
+    "no pixel is smaller than a wavelength, as no radar resolves less than about two ({wavelength:.3g} m each)"
+)
 
 _OF_NO_SENSOR = ": as ESA specifies it for Sentinel-1 (Sentinel-1 SAR Technical Guide, Performance)"
 _NOT_READ = ": Sentinel-1's, in place of the noise of {title}, which we could not read"
@@ -323,8 +325,8 @@ def _scene(
 def _say_if_small(size_m: float, spacing_m: float) -> None:
     if size_m < FEW_PIXELS * spacing_m:
         console.say(
-            f"the mesh is {size_m:.3g} m across, and a pixel {spacing_m:g} m: an image shows little of it. For the radar "
-            "cross-section of a small body: warpsar rcs. If the unit is wrong: --units"
+            f"the mesh is {size_m:.3g} m across, and a pixel {spacing_m:g} m: an image shows little of it. For the "
+            "radar cross-section of a small body: warpsar rcs. If the unit is wrong: --units"
         )
 
 
