@@ -14,7 +14,7 @@ from warpsar.cli import options
 @options.out("Folder for evaluate.json, report.html, residual images and learned.ply; made if missing.")
 @click.option(
     "--before",
-    type=options.FILE,
+    type=options.SCENE,
     help="Another scene file of the same images: the report shows that model's numbers and residuals beside SCENE's.",
 )
 @options.device

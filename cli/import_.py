@@ -24,7 +24,7 @@ TAPERS = ("none", "hann", "taylor")
 @click.option(
     "--scene",
     required=True,
-    type=options.FILE,
+    type=options.SCENE,
     help="The scene.toml to edit.",
 )
 @click.option(

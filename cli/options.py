@@ -17,7 +17,23 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 
-scene = click.argument("scene", type=FILE)
+
+class _SceneFile(click.Path):
+    """A scene file; where its folder is given in its place, the message names the file."""
+
+    def __init__(self) -> None:
+        super().__init__(exists=True, dir_okay=False, path_type=Path)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        inside = Path(value) / "scene.toml"
+        if inside.is_file():
+            self.fail(f"{value!r} is a folder; its scene file is {str(inside)!r}.", param, ctx)
+        return super().convert(value, param, ctx)
+
+
+SCENE = _SceneFile()
+
+scene = click.argument("scene", type=SCENE)
 
 device = click.option(
     "--device",

@@ -15,7 +15,7 @@ PRODUCTS = ("beta0", "slc", "phase-history")
 
 
 @click.command(name="simulate", short_help="Make an image of every view.")
-@click.argument("scenes", nargs=-1, required=True, type=options.FILE)
+@click.argument("scenes", nargs=-1, required=True, type=options.SCENE)
 @options.out("Folder for images (beta0), quick looks (PNG, dB) and simulate.json; made if missing.")
 @click.option(
     "--product",

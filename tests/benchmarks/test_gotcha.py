@@ -19,8 +19,6 @@ from warpsar.learning.command import LearnOptions
 from warpsar.scene.scene import Scene
 from warpsar.world.world import geometry_of
 
-pytestmark = pytest.mark.unit
-
 # docs/measured-record.md
 OVER_GRASS_DB = {"car_park": -1.8, "road": -5.1, "west_strip": 2.3, "cars": 9.1, "targets": 13.3}
 

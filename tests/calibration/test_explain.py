@@ -15,7 +15,6 @@ from warpsar.calibration.point import PointMeasurement, interval
 from warpsar.calibration.sites import ReflectorSite
 from warpsar.products.product import ImagedPoint
 
-pytestmark = pytest.mark.unit
 WAVELENGTH, LEG, CELL = 0.0555, 1.2, 2.0
 EAST, WEST = Facing(95.0, 10.0), Facing(265.0, 10.0)
 

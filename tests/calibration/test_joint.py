@@ -17,8 +17,6 @@ from warpsar.calibration.measure import ReflectorObservation
 from warpsar.calibration.scatter import ErrorCovariance, ExtraScatter
 from warpsar.calibration.turns import attitude_solutions, over_attitudes
 
-pytestmark = pytest.mark.unit
-
 
 def made(off: Off, names: str = "ABC", days: int = 12, seed: int = 0, image_db: float = 0.15) -> Differences:
     """0.3 dB from value to value, and a gain of each image's own."""

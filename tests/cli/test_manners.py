@@ -67,7 +67,7 @@ def test_the_command_line_shows_them_on_stderr_once(capsys: pytest.CaptureFixtur
 
 def test_a_scene_and_a_mesh_show_in_one_line() -> None:
     made = scene()
-    assert repr(made) == "<Scene scene in memory: 1 views, 2 triangles>"
+    assert repr(made) == "<Scene scene in memory: 1 view, 2 triangles>"
     assert repr(made.mesh) == "<Mesh: 2 triangles, 4 vertices, materials lawn>"
 
 
@@ -75,6 +75,8 @@ def test_a_table_shows_what_is_not_as_by_default() -> None:
     radar = Radar(frequency_hz=9.6e9, polarizations=("HH",), max_bounces=30)
     assert repr(radar) == "Radar(frequency_hz=9600000000.0, polarizations=('HH',))"
     assert repr(radar.model_copy(update={"max_bounces": 3})).endswith(", max_bounces=3)")
+    view = warpsar.View(name="a", azimuth_deg=10.0, incidence_deg=40.0)
+    assert repr(view) == str(view) == "View(name='a', azimuth_deg=10.0, incidence_deg=40.0)"
 
 
 def test_results_show_in_one_line() -> None:

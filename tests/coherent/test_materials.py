@@ -18,8 +18,6 @@ from warpsar.cli.main import main
 from warpsar.coherent.rcs import cautions
 from warpsar.scene.file import parse
 
-pytestmark = pytest.mark.unit
-
 
 def stack(eps: complex, thickness: float | None, backed: bool, sine: float) -> tuple[complex, complex]:
     """R of a layer in TE and TM by 2 x 2 matrices of the tangential fields; of a half-space with thickness None."""

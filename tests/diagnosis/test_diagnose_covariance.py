@@ -15,8 +15,6 @@ from warpsar.effects.base.trial import ScoreStep, Trial
 from warpsar.learning.identify import score_products
 from warpsar.runtime.matmul import times, transposed_times
 
-pytestmark = pytest.mark.unit
-
 RANDOM = np.random.default_rng(7)
 SHAPES = ((17, 23), (20, 11))
 RANKS = 3

@@ -14,8 +14,6 @@ from warpsar.speckle.draws import Speckle, _white
 from warpsar.speckle.scan import LIKELIHOOD, POWER, Scan, surest
 from warpsar.speckle.tail import Tail, Tails
 
-pytestmark = pytest.mark.unit
-
 WHITE = np.zeros((13, 13))
 WHITE[6, 6] = 1.0
 

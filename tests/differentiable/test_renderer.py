@@ -12,8 +12,6 @@ import warpsar
 from warpsar import InputError, Material, Scene
 from warpsar.differentiable.renderer import Renderer
 
-pytestmark = pytest.mark.unit
-
 ALL = ("eps_r", "rms_height_m", "correlation_length_m", "specular_fraction")
 START = {**SOIL, "specular_fraction": 0.2, "learn": ALL}
 

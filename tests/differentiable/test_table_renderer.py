@@ -11,8 +11,6 @@ from test_learned_table import ANGLES, GIVEN, PARTS, bent, site, written
 from warpsar import InputError, Scene, renderer
 from warpsar.differentiable.renderer import Renderer
 
-pytestmark = pytest.mark.unit
-
 NAMES = ["materials.block.sigma0[HH]", "materials.block.sigma0[VV]", "materials.block.sigma0[HV]"]
 
 

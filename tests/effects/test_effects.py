@@ -243,6 +243,8 @@ REFUSED = [
     ("view_gain", {"gain_db": {"nobody": 3.0}}, "found 'nobody'; allowed are the views v0, v1"),
     ("view_gain", {"gain_db": {"v0": "loud"}}, "gain_db.v0: found 'loud'"),
     ("glitter", {}, "found 'glitter'; allowed are eps_gradient"),
+    ("noise_flor", {}, "saturation; did you mean noise_floor?"),
+    ("noise_floor", {"levl": 1.0}, "; did you mean level?"),
 ]
 
 

@@ -15,8 +15,6 @@ from warpsar.simulation.command import simulate
 from warpsar.simulation.rays import trace_view
 from warpsar.world.mesh import Mesh
 
-pytestmark = pytest.mark.unit
-
 WORKING = [
     Case({"strength": 0.8}),
     Case({"strength": 0.8, "max_bounces": 4}, STRIP_MAP),

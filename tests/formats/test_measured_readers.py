@@ -12,8 +12,6 @@ from warpsar.formats import registry
 from warpsar.formats.base.data import ImageChip, PhaseHistory
 from warpsar.world.earth import LocalEarth, axes_at, ecef_to_geodetic, geodetic_to_ecef
 
-pytestmark = pytest.mark.unit
-
 LOOK = Pass(slant_range_m=10e3, speed_m_s=100.0)
 FREQUENCY_HZ = 9.5e9 + 5e6 * np.arange(32)
 POSITIONS = LOOK.position(np.linspace(-40.0, 40.0, 24))

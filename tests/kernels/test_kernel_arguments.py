@@ -11,8 +11,6 @@ from functools import cache, cached_property
 import pytest
 from conftest import ROOT
 
-pytestmark = pytest.mark.unit
-
 HEADINGS = ("In", "Room", "In and out", "Out")
 """In their order; what stands under `In` is read alone."""
 TELLING = 3  # letters from which a name says what it is: corners a, b, c and p0, p1, p2 may go round

@@ -19,8 +19,6 @@ from warpsar.kernels.geometry import (
     point_on,
 )
 
-pytestmark = pytest.mark.unit
-
 LANES = 8
 BELOW = wp.constant(-1.5)
 

@@ -7,8 +7,6 @@ import pytest
 import scattering_reference as reference
 from perturbation_reference import Perturbation, backscatter
 
-pytestmark = pytest.mark.unit
-
 EPS = 9 + 1j
 P0, U, P, Q = (np.array(one) for one in ((0.6, 0.1), (-0.3, 0.5), (0.2, -0.7), (1.4, 0.3)))
 

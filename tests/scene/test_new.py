@@ -267,6 +267,27 @@ def test_a_first_scene_has_surfaces_bounces_and_the_noise_of_a_receiver(tmp_path
     assert "NESZ -22 dB" in (tmp_path / "scene.toml").read_text(encoding="utf-8")
 
 
+@pytest.mark.parametrize(("size_m", "spacing_m", "said"), [(0.3, 0.04, True), (4.5, 0.04, False), (200.0, 0.5, False)])
+def test_pixels_are_as_fine_as_a_radar_can_resolve(size_m: float, spacing_m: float, said: bool, tmp_path: Path) -> None:
+    """At 9.6 GHz a wavelength is 0.0312 m: the next round number is 0.04 m, however small the mesh. A pixel of a large
+    mesh is what 512 of them leave. The resolution is two pixels, so that levels of corners have a cell."""
+    trimesh.creation.box((size_m, size_m / 2, size_m / 5)).export(tmp_path / "box.stl")
+    output = warpsar("new", tmp_path, tmp_path / "box.stl", "--units", "m").output
+    assert ("an image shows little of it" in output) == said
+    scene = Scene.load(tmp_path / "scene.toml")
+    assert scene.grid.spacing_m == (spacing_m, spacing_m)
+    spread = scene.effects["point_spread"]
+    assert (spread["range_fwhm_m"], spread["azimuth_fwhm_m"]) == pytest.approx((2 * spacing_m, 2 * spacing_m))
+
+
+@pytest.mark.full
+def test_a_first_image_has_no_warning(tmp_path: Path) -> None:
+    house().export(tmp_path / "house.stl")
+    warpsar("new", tmp_path, tmp_path / "house.stl")
+    done = warpsar("simulate", tmp_path / "scene.toml", "-o", tmp_path / "out", "--device", "cpu")
+    assert "warning" not in done.output
+
+
 @pytest.mark.parametrize("name", SENSORS)
 def test_a_sensor_states_what_it_is_made_of(name: str, tmp_path: Path) -> None:
     """Two pixels to a width, an incidence that the sensor has, its noise, and the sources in comments. A number that

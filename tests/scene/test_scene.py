@@ -218,6 +218,7 @@ def test_everything_wrong_with_the_files_is_said_at_once(folder: Path) -> None:
     assert "images.HH" in message
     assert "mask" in message
     assert "found roof, ground; must be those of the mesh" in message
+    assert "ground, wall; no roof" in message
     assert "ground, wall" in message
 
 
@@ -226,6 +227,26 @@ def test_no_scene_file(tmp_path: Path, data: bytes, found: str) -> None:
     path = tmp_path / "scene.toml"
     path.write_bytes(data)
     assert found in refusal(path)
+
+
+def test_a_new_key_stands_above_the_comment_of_the_next_table(changed: Change, folder: Path) -> None:
+    """A saved scene states what the file left to the library: keys of the roof stay above the comment on the ground."""
+    surface = "eps_r = [6.0, -0.5]\nrms_height_m = 0.002\ncorrelation_length_m = 0.02\n"
+    path = changed(surface, 'library = "brick"\n\n# The lawn.\n')
+    Scene.load(path).save(folder / "again.toml")
+    lines = (folder / "again.toml").read_text().splitlines()
+    roof, comment, ground = (lines.index(line) for line in ("[materials.roof]", "# The lawn.", "[materials.ground]"))
+    stated = [line.split(" = ")[0] for line in lines[roof:comment]]
+    assert {"library", "eps_r", "rms_height_m", "correlation_length_m"} <= set(stated)
+    assert [line for line in lines[comment + 1 : ground] if line] == []
+
+
+@pytest.mark.parametrize("name", ["house.obj", "house.STL"])
+def test_a_mesh_in_place_of_a_scene_file(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_bytes(b"v 0 0 0\n")
+    assert f"found a mesh; must be a scene file: warpsar new FOLDER {name} writes one for it" in refusal(
+        tmp_path / name
+    )
 
 
 def test_no_file_at_all(tmp_path: Path) -> None:

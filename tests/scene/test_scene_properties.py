@@ -16,8 +16,6 @@ from warpsar.errors import InputError
 from warpsar.io.images import write_tiff
 from warpsar.scene.scene import Scene
 
-pytestmark = pytest.mark.unit
-
 TABLES: dict[str, Any] = {
     "scene": {"mesh": "scene.obj", "reference_point_m": [0.0, 0.0, 0.0]},
     "radar": {"frequency_hz": 9.6e9, "polarizations": ["HH"], "slant_range_m": 350.0, "polarization_basis": "radar"},

@@ -16,8 +16,6 @@ from warpsar.simulation.rays import trace_view
 from warpsar.surface.stage import Stage
 from warpsar.surface.surface import KEYS
 
-pytestmark = pytest.mark.unit
-
 UNDECLARED = ("antenna_pattern", "multibounce", "noise_floor", "point_spread", "registration")
 
 

@@ -8,8 +8,6 @@ from scipy import integrate, special, stats
 
 from warpsar.speckle.law import Law, looks_of_second
 
-pytestmark = pytest.mark.unit
-
 LAWS = [Law(1.0), Law(4.0), Law(1.0, 2.0), Law(4.0, 1.5), Law(16.0, 6.0)]
 
 

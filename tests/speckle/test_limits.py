@@ -12,8 +12,6 @@ from conftest import benchmark
 from warpsar.speckle.own import LAGS
 from warpsar.speckle.residual import residual_autocovariance
 
-pytestmark = pytest.mark.unit
-
 LOOKS = 4.0
 
 

@@ -15,7 +15,7 @@ from warpsar.effects.base.effect import STAGES, DeclaredEffect, Effect
 from warpsar.effects.base.fitted import FITTED_KEYS, is_fitted, refuse_fitted_keys
 from warpsar.effects.base.parameter import EffectParameter, Setting
 from warpsar.effects.base.phase import Response
-from warpsar.errors import InputError, shown
+from warpsar.errors import InputError, did_you_mean, shown
 from warpsar.models import registry as models
 from warpsar.models.base.model import DEFAULT
 from warpsar.world.tables import View
@@ -59,7 +59,7 @@ def validate(name: str, table: Any, where: str, views: Collection[str] | None = 
     leaves this to `check`. Raises InputError.
     """
     if name not in _files():
-        raise InputError(f"{where}: found {name!r}; allowed are {', '.join(names())}")
+        raise InputError(f"{where}: found {name!r}; allowed are {', '.join(names())}{did_you_mean(name, names())}")
     effect = get(name)
     if not isinstance(table, dict):
         raise InputError(f"{where}: found {shown(table)}; allowed is a table")
@@ -76,8 +76,8 @@ def validate(name: str, table: Any, where: str, views: Collection[str] | None = 
                 if not setting.accepts(one):
                     raise InputError(f"{place}: found {shown(one)}; allowed is {setting.allowed}")
         elif key not in FITTED_KEYS:
-            allowed = ", ".join([*parameters, *settings, *FITTED_KEYS])
-            raise InputError(f"{at}: unknown key; allowed are {allowed}")
+            allowed = [*parameters, *settings, *FITTED_KEYS]
+            raise InputError(f"{at}: unknown key; allowed are {', '.join(allowed)}{did_you_mean(key, allowed)}")
     refuse_fitted_keys(table, parameters, where)
     _refuse_nothing(effect, table, where)
     for key, known in table.get("tolerance", {}).items():

@@ -62,9 +62,7 @@ def curves_section(
 ) -> str:
     """Verdicts, pictures and numbers of all curves. `before` is another model of the same curves."""
     named = {"train": "On the train curves", "test": "On the test curves, to which no noise was fitted"}
-    said = [
-        report.paragraph(f"{named[role]}: {one.words}.".replace("+- ", "±\u00a0")) for role, one in verdicts.items()
-    ]
+    said = [report.paragraph(f"{named[role]}: {one.words}.") for role, one in verdicts.items()]
     explained = (
         "The residual is in standard deviations of the noise: 95 % lie in the grey band where the model is right. "
         "The noise was fitted to the train curves, unless the scene states it. Rows count for their share of an "

@@ -97,4 +97,4 @@ def _roles(found: Evaluation) -> list[tuple[str, PooledMetrics]]:
 
 def _verdict(role: str, one: Judgement) -> str:
     name = {"train": "On the train views", "test": "On the test views, which no fit has touched"}[role]
-    return f"{name}, {one.words}.".replace("+- ", "±\u00a0")
+    return f"{name}, {one.words}."

@@ -41,7 +41,7 @@ def prediction_table(rows: Sequence[Summary]) -> str:
 def prediction_section(images: Sequence[PredictedImage]) -> str:
     """The test views of a scene whose aim points are found."""
     ahead = advantage(images)
-    said = [] if ahead is None else [f"{ahead.words[0].upper()}{ahead.words[1:]}.".replace("+-", "±")]
+    said = [] if ahead is None else [f"{ahead.words[0].upper()}{ahead.words[1:]}."]
     said.append(
         "Each test view is compared at the best shift within the reach of aim_point. The correlation is that of fourth "
         "roots of power that was smoothed by 1.5 pixels. A model has the shift of its own least loss, a measured rival "

@@ -53,11 +53,16 @@ def heading(text: str) -> str:
 
 
 def paragraph(text: str, *, quiet: bool = False) -> str:
-    return f'<p class="quiet">{escape(text)}</p>' if quiet else f"<p>{escape(text)}</p>"
+    return f'<p class="quiet">{_prose(text)}</p>' if quiet else f"<p>{_prose(text)}</p>"
 
 
 def bullets(items: Sequence[str]) -> str:
-    return "<ul>" + "".join(f"<li>{escape(item)}</li>" for item in items) + "</ul>"
+    return "<ul>" + "".join(f"<li>{_prose(item)}</li>" for item in items) + "</ul>"
+
+
+def _prose(text: str) -> str:
+    """Words that the console says too, which keeps to ASCII."""
+    return escape(text.replace("+- ", "±\u00a0"))
 
 
 def command(line: str) -> str:

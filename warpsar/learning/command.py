@@ -132,7 +132,9 @@ def _say_doubts(found: Learned, scene_path: Path | str) -> None:
     console.say("the intervals do not hold:")
     for reason in found.doubts:
         console.say(f"  {reason}")
-    if found.problem.uniform:
+    # a bound or a model's domain alone is nothing that a search of effects could name
+    wrong = any(one.wrong for one in found.verdicts.values()) or any(one.alarm for one in found.pulls)
+    if wrong and found.problem.uniform:
         console.say(f"next: warpsar diagnose {scene_path} -o diagnosed/ names what the model lacks")
     console.say("if the model were right:")
 

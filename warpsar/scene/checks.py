@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpsar.effects.registry import refused_with, validate
-from warpsar.errors import InputError, refuse_number, shown
+from warpsar.errors import InputError, did_you_mean, refuse_number, shown
 from warpsar.models import registry as backscatter
 from warpsar.world import scattering_term, sigma0_table
 from warpsar.world.collection import RENAMED, Collection
@@ -144,7 +144,10 @@ def material_names(given: Sequence[str], mesh: Mesh, where: str) -> list[str]:
     if set(given) == set(mesh.materials):
         return []
     found = ", ".join(given) or "none"
-    return [f"materials: found {found}; must be those of {where}: {', '.join(mesh.materials)}"]
+    unknown = "".join(
+        f"; no {name}{did_you_mean(name, mesh.materials)}" for name in given if name not in mesh.materials
+    )
+    return [f"materials: found {found}; must be those of {where}: {', '.join(mesh.materials)}{unknown}"]
 
 
 def models(name: str, material: Material, radar: Radar, effects: Mapping[str, Any]) -> list[str]:

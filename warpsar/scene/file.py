@@ -16,6 +16,7 @@ from warpsar.world.collection import Antenna, AntennaChannels, Collection, Colle
 from warpsar.world.curve import Curve
 from warpsar.world.library.fill import filled, of_one_frequency
 from warpsar.world.library.surfaces import SURFACES
+from warpsar.world.mesh import SUFFIXES as MESH_SUFFIXES
 from warpsar.world.objects.table import Object
 from warpsar.world.problems import keys_of, problem
 from warpsar.world.tables import (
@@ -130,6 +131,10 @@ def read(path: Path) -> tuple[str, dict[str, Any]]:
 
 
 def _read_text(path: Path) -> str:
+    if path.suffix.lower() in MESH_SUFFIXES and path.is_file():
+        raise InputError(
+            f"{path}: found a mesh; must be a scene file: warpsar new FOLDER {path.name} writes one for it"
+        )
     try:
         if path.exists() and not path.is_file():  # a FIFO waits for ever, a device never ends
             raise InputError(f"{path}: cannot be read as a scene file (a directory, pipe or device)")

@@ -19,7 +19,7 @@ from warpsar.io.ply import write_ply
 from warpsar.runtime import console
 from warpsar.scene import city, footprints
 from warpsar.scene.unwrap import write_obj
-from warpsar.world.frame import ViewGeometry, view_geometry
+from warpsar.world.frame import SPEED_OF_LIGHT, ViewGeometry, view_geometry
 from warpsar.world.library.names import surface_named
 from warpsar.world.mesh import GLTF, Mesh, read_mesh, unlikely_size
 from warpsar.world.meshes.dem import SUFFIXES as DEM_SUFFIXES
@@ -34,7 +34,12 @@ _IN_METRES = (*GLTF, *DEM_SUFFIXES)  # by their standard, or turned into metres 
 FREQUENCY_HZ = 9.6e9
 INCIDENCE_DEG = 40.0
 NESZ_DB = -22.0  # Sentinel-1's, of a scene for no sensor in particular
-PIXELS_PER_WIDTH = 2.0  # of a sensor's resolution: no pixel is smaller
+PIXELS_PER_WIDTH = 2.0  # of the resolution: no pixel is smaller
+WAVELENGTHS_PER_WIDTH = 2.0
+"""Of the finest resolution where no sensor is stated. It is c / (2 B) in range. The band B of imaging radars is a
+quarter of their frequency at most, so they resolve two wavelengths or more; and a patch of a surface that is smaller
+than a wavelength has no cross-section of its own."""
+FEW_PIXELS = 32  # across the mesh: fewer show hardly more than a blot
 AZIMUTHS_DEG = (20.0, 140.0, 260.0)  # no side of a building that faces north lies straight across
 
 _HEAD = """\
@@ -48,7 +53,7 @@ reference_point_m = {reference}  # {middle}
 frequency_hz = {frequency}
 polarizations = ["HH"]      # any of HH, HV, VH, VV
 
-[image]
+[image]  # {pixels}
 shape = {shape:<18}  # pixels along slant range (down) and azimuth (across)
 spacing_m = {spacing:<14}  # of a pixel, likewise; the whole mesh lies inside in every view
 
@@ -88,11 +93,18 @@ level = {level:.3g}
 """
 
 _RESPONSE = """
-# The resolution that is stated, as half-power widths in slant range and azimuth.
+# {whose}, as half-power widths in slant range and azimuth.
 [effects.point_spread]
-range_fwhm_m = {0:g}
-azimuth_fwhm_m = {1:g}
+range_fwhm_m = {widths[0]:g}
+azimuth_fwhm_m = {widths[1]:g}
 """
+
+_STATED_WIDTHS = "The resolution that is stated"
+_WIDTHS_OF_PIXELS = "The resolution: two pixels. State that of your radar"
+_SENSOR_PIXELS = "no pixel is smaller than half of the sensor's resolution"
+_OWN_PIXELS = (
+    "no pixel is smaller than a wavelength, as no radar resolves less than about two ({wavelength:.3g} m each)"
+)
 
 _OF_NO_SENSOR = ": as ESA specifies it for Sentinel-1 (Sentinel-1 SAR Technical Guide, Performance)"
 _NOT_READ = ": Sentinel-1's, in place of the noise of {title}, which we could not read"
@@ -269,8 +281,14 @@ def _scene(
     between = None if known is None else known.incidence_deg
     incidence_deg = INCIDENCE_DEG if between is None else float(np.clip(INCIDENCE_DEG, *between))
     looks = [view_geometry(azimuth, incidence_deg, frequency_hz) for azimuth in AZIMUTHS_DEG]
-    finest = 0.0 if known is None else min(known.resolution_m) / PIXELS_PER_WIDTH
+    wavelength_m = SPEED_OF_LIGHT / frequency_hz
+    if known is None:
+        finest = _rounded_up(WAVELENGTHS_PER_WIDTH * wavelength_m / PIXELS_PER_WIDTH)
+        pixels = _OWN_PIXELS.format(wavelength=wavelength_m)
+    else:
+        finest, pixels = min(known.resolution_m) / PIXELS_PER_WIDTH, _SENSOR_PIXELS
     grid = fitted_grid(corners, reference, looks, finest)
+    _say_if_small(float((high - low).max()), grid.spacing_m[0])
     head = _HEAD.format(
         source="".join(letter if letter.isprintable() else "?" for letter in source),
         mesh=tomlkit.item(mesh_name).as_string(),
@@ -278,6 +296,7 @@ def _scene(
         middle=_MIDDLE,
         sensor="" if known is None else "".join(f"# {line}\n" for line in _of_sensor(known, incidence_deg)),
         frequency=f"{frequency_hz / 1e9:g}e9",
+        pixels=pixels,
         shape=str(list(grid.shape)),
         spacing=str(list(grid.spacing_m)),
     )
@@ -291,13 +310,24 @@ def _scene(
     else:
         nesz, of = known.nesz_db, f", the bound for {known.title}"
     effects = _EFFECTS.format(nesz=nesz, of=of, level=noise_beta0(nesz, incidence_deg))
-    if known is not None:
-        effects += _RESPONSE.format(*known.resolution_m)
+    if known is None:
+        widths_m = tuple(PIXELS_PER_WIDTH * spacing for spacing in grid.spacing_m)
+        effects += _RESPONSE.format(whose=_WIDTHS_OF_PIXELS, widths=widths_m)
+    else:
+        effects += _RESPONSE.format(whose=_STATED_WIDTHS, widths=known.resolution_m)
     views = "".join(
         _VIEW.format(name=f"az{azimuth:03.0f}", azimuth=azimuth, incidence=incidence_deg) for azimuth in AZIMUTHS_DEG
     )
     objects = _OBJECTS.format(material=tomlkit.item(mesh.materials[0]).as_string())
     return grid, head + materials + effects + objects + _VIEWS + views
+
+
+def _say_if_small(size_m: float, spacing_m: float) -> None:
+    if size_m < FEW_PIXELS * spacing_m:
+        console.say(
+            f"the mesh is {size_m:.3g} m across, and a pixel {spacing_m:g} m: an image shows little of it. For the "
+            "radar cross-section of a small body: warpsar rcs. If the unit is wrong: --units"
+        )
 
 
 def _of_sensor(sensor: Sensor, incidence_deg: float) -> list[str]:

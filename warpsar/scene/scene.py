@@ -38,7 +38,8 @@ class Scene(World):
     def __repr__(self) -> str:
         curves = f", {len(self.curves)} curves" if self.curves else ""
         effects = f", effects {', '.join(self.effects)}" if self.effects else ""
-        return f"<Scene {self.name}: {len(self.views)} views{curves}, {len(self.mesh.faces)} triangles{effects}>"
+        views = "1 view" if len(self.views) == 1 else f"{len(self.views)} views"
+        return f"<Scene {self.name}: {views}{curves}, {len(self.mesh.faces)} triangles{effects}>"
 
     def __post_init__(self) -> None:
         where = self.path or Path(self.name)

@@ -140,8 +140,22 @@ def _merge(document: Any, tables: Any) -> None:
                 else:
                     old.append(tomlkit.item(item))
             del old[len(value) :]
+        elif old is None and not isinstance(value, dict) and key not in ("views", "objects", "curves"):
+            _add(document, key, value)
         elif old is None or not _same(old, value):
             document[key] = value
+
+
+def _add(table: Any, key: str, value: Any) -> None:
+    """A new key below the last one. To tomlkit the comments between it and the next table's head are of this table:
+    they speak of the next one, so the key goes above them."""
+    body = getattr(getattr(table, "value", table), "body", None)
+    behind = []
+    while body and body[-1][0] is None:  # comments and empty lines have no key
+        behind.append(body.pop()[1])
+    table[key] = value
+    for item in reversed(behind):
+        table.add(item)
 
 
 def _same(old: Any, new: Any) -> bool:

@@ -105,11 +105,14 @@ class Table(BaseModel):
     __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
 
     def __repr_args__(self) -> Iterable[tuple[str | None, Any]]:
-        """What is not as by default: in `repr` the rest is noise."""
-        default = {
-            name: field.get_default(call_default_factory=True) for name, field in type(self).model_fields.items()
-        }
-        return [(name, value) for name, value in super().__repr_args__() if value != default.get(str(name))]
+        """What is not as by default, under the keys of the scene file: in `repr` the rest is noise."""
+        fields = type(self).model_fields
+        default = {name: field.get_default(call_default_factory=True) for name, field in fields.items()}
+        shown = [(str(name), value) for name, value in super().__repr_args__() if value != default.get(str(name))]
+        return [((fields[name].alias if name in fields else None) or name, value) for name, value in shown]
+
+    def __str__(self) -> str:
+        return repr(self)
 
 
 def bounces(terms: Collection[str], most: int) -> int:

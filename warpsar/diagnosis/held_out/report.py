@@ -118,7 +118,7 @@ def _in_short(found: HeldOut) -> str:
     if found.box_held is not None:
         said.append(f"The box's own search found: {', '.join(found.box_held) or 'nothing'}.")
     said += [f"The search ended before every effect was asked, for {found.ended}."] if found.ended else []
-    said += [f"{words[0].upper()}{words[1:]}.".replace("+-", "±") for words in judgement(found)]
+    said += [f"{words[0].upper()}{words[1:]}." for words in judgement(found)]
     return report.section("In short", *map(report.paragraph, said), prediction_table(summaries(found.images)))
 
 

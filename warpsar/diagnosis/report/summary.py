@@ -15,7 +15,8 @@ from warpsar.evaluation.report_parts import plus_minus
 from warpsar.io import html as report
 
 _OUTCOME = {"confirmed": "confirmed", "against": "against it", "none": "nothing decisive"}
-ROLE_WORDS = {"train": "train", "test": "test (named nothing)"}
+ROLE_WORDS = {"train": "train", "test": "test (no fit used them)"}
+_ROLE_VIEWS = {"train": "Train views", "test": "Test views, which no fit used"}
 
 
 def summary_section(done: Diagnosed, content: dict[str, Any]) -> str:
@@ -118,11 +119,7 @@ def _first(done: Diagnosed) -> list[str]:
         blocks.append(report.bullets(found.not_asked))
     if done.speckle.departs:
         blocks.append(report.paragraph(f"{done.speckle.words[0].upper()}{done.speckle.words[1:]}."))
-    said = [
-        f"{ROLE_WORDS[role][0].upper()}{ROLE_WORDS[role][1:]} views: {one.words}"
-        for role, one in done.verdicts.items()
-        if not one.wrong
-    ]
+    said = [f"{_ROLE_VIEWS[role]}: {one.words}" for role, one in done.verdicts.items() if not one.wrong]
     if done.own_numbers:
         said.append("For this, numbers that effects hold for each view by itself were fitted to the test views, too")
     if done.foretold is not None:
