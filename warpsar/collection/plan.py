@@ -295,7 +295,8 @@ def beam(plan: Plan, points_m: F64, pulses: NDArray[np.int64]) -> F64:
 
 
 def boresight(plan: Plan) -> tuple[F64, F64]:
-    """Unit vectors across the beam, (2, p, 3): along the track, and up; and the sines of the half-power widths, (2,).
+    """Unit vectors across the beam, (2, p, 3): level and forward along the flight, and up; and the sines of the
+    half-power widths, (2,).
 
     The beam of a spotlight follows the reference point. That of a stripmap stays abeam, or squinted.
     """
@@ -308,8 +309,12 @@ def boresight(plan: Plan) -> tuple[F64, F64]:
         look = -plan.track.receiver_m / np.linalg.norm(plan.track.receiver_m, axis=1, keepdims=True)
     level = np.cross([0.0, 0.0, 1.0], look)
     level /= np.linalg.norm(level, axis=1, keepdims=True)
+    flight = np.einsum("pk,pk->p", level, np.gradient(plan.track.receiver_m, axis=0))
+    level *= np.where(flight < 0.0, -1.0, 1.0)[:, None]
+    up = np.array([0.0, 0.0, 1.0]) - look * look[:, 2:]
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
     widths = [antenna.azimuth_deg or 0.0, antenna.elevation_deg or 0.0]
-    return np.stack([level, np.cross(level, look)]), np.sin(np.deg2rad(widths))
+    return np.stack([level, up]), np.sin(np.deg2rad(widths))
 
 
 def plans_of(world: World, device: wp.Device, product: Product = "slc") -> list[Plan]:
@@ -431,7 +436,8 @@ def _track(world: World, plan: Plan, frequency: float, held_m: float | None = No
     aperture = _aperture(world, plan, frequency, held_m)
     speed = table.speed_m_s or SPEED_M_S
 
-    def flown(count: int) -> Track:
+    def flown(count: int, whole: bool = False) -> Track:
+        """`whole`: as long as the aperture takes, however often pulses come."""
         if table.mode in ("circular", "inverse"):
             sine = float(np.hypot(*plan.geometry.s[:2]))
             lasts = slant * sine * np.deg2rad(aperture) / speed if table.mode == "circular" else TURNTABLE_S
@@ -447,15 +453,16 @@ def _track(world: World, plan: Plan, frequency: float, held_m: float | None = No
         length = 2.0 * slant * math.tan(0.5 * np.deg2rad(aperture)) / math.cos(np.deg2rad(table.squint_deg))
         if table.mode == "stripmap":  # every point of the image within the aperture passes through the beam
             length += world.grid.shape[1] * world.grid.spacing_m[1]
-        if table.prf_hz is not None and table.pulses is not None:
-            speed_here = length * table.prf_hz / count
-            return straight(plan.geometry, slant, way, length, speed_here, count)
-        return straight(plan.geometry, slant, way, length, speed, count)
+        if table.prf_hz is None or whole:
+            return straight(plan.geometry, slant, way, length, speed, count)
+        if table.pulses is None:  # a part of a pulse longer, so that pulses come as often as stated
+            return straight(plan.geometry, slant, way, count * speed / table.prf_hz, speed, count)
+        return straight(plan.geometry, slant, way, length, length * table.prf_hz / count, count)
 
     count = table.pulses
     if count is None and table.prf_hz is not None and table.mode != "inverse":
-        long = flown(FEWEST).time_s
-        count = max(FEWEST, math.ceil((long[-1] - long[0]) * FEWEST / (FEWEST - 1) * table.prf_hz))
+        long = flown(FEWEST, whole=True).time_s
+        count = max(2, math.ceil((long[-1] - long[0]) * FEWEST / (FEWEST - 1) * table.prf_hz - 1e-6))
     if count is None:
         trial = replace(plan, track=_sent(flown(1024), table))
         count = max(FEWEST, fft.next_fast_len(math.ceil(1024 * _turns(world, trial, frequency).max() / SPARE)))
