@@ -46,13 +46,15 @@ SPARE = 0.7
 """Share of what is unambiguous that the scene takes, where the number of samples is free."""
 MOST = 0.8
 """Share that it may take at most: CPHD asks for samples of frequency a little denser than needed."""
-FEWEST = 32
+FEWEST, MOST_PULSES = 32, 10_000_000
 HALFWAY_DEG = 12.0
 """Between transmitter and receiver. Up to it what has backscatter alone is that of one antenna halfway between them.
 Physical optics of a face tilted by 45 degrees to it would be wrong by tan(45) tan(6 degrees), 1 dB."""
 FORWARD_DEG = 150.0
 """Within 30 degrees of the forward direction the shadow of a body of two wavelengths and more sends: its lobe's first
 null lies at lambda / D. Faces that both antennas see do not have it."""
+NEAREST_M = 1e-3
+"""Of a transmitter to the reference point, which it sees in some direction."""
 ROUNDED = 1e-3
 """Share by which a stated width may be below what band or aperture hold: files round it."""
 FINER = 0.05
@@ -354,6 +356,7 @@ def plan_of(world: World, view: View, device: wp.Device) -> Plan:
     made = _pointed(world, made)
     made = replace(made, track=_track(world, made, 0.5 * (low + high)))
     if made.track.bistatic:
+        _refuse_wide(world, made)  # near the forward direction no band resolves ranges
         low, high = _band(table, response, carrier, world.name, _shortened(made))
         made = replace(made, start_hz=low, step_hz=high - low)
         made = replace(made, track=_track(world, made, 0.5 * (low + high), _azimuth_m(made)))
@@ -462,7 +465,13 @@ def _track(world: World, plan: Plan, frequency: float, held_m: float | None = No
     count = table.pulses
     if count is None and table.prf_hz is not None and table.mode != "inverse":
         long = flown(FEWEST, whole=True).time_s
-        count = max(2, math.ceil((long[-1] - long[0]) * FEWEST / (FEWEST - 1) * table.prf_hz - 1e-6))
+        lasts_s = (long[-1] - long[0]) * FEWEST / (FEWEST - 1)
+        if not 2.0 <= lasts_s * table.prf_hz + 1e-6 <= MOST_PULSES:
+            raise InputError(
+                f"{name}: collection.prf_hz: found {table.prf_hz:g}, which gives {lasts_s * table.prf_hz:.3g} pulses "
+                f"in the {lasts_s:.3g} s of the track; must give 2 to {MOST_PULSES}"
+            )
+        count = math.ceil(lasts_s * table.prf_hz - 1e-6)
     if count is None:
         trial = replace(plan, track=_sent(flown(1024), table))
         count = max(FEWEST, fft.next_fast_len(math.ceil(1024 * _turns(world, trial, frequency).max() / SPARE)))
@@ -527,6 +536,11 @@ def _sent(track: Track, table: Collection) -> Track:
     if table.transmitter is None:
         return track
     place = np.asarray(table.transmitter.position_m) + track.time_s[:, None] * table.transmitter.velocity_m_s
+    if (nearest := float(np.linalg.norm(place, axis=1).min())) < NEAREST_M:
+        raise InputError(
+            f"collection.transmitter: found a place {nearest:.3g} m from the reference point; must be {NEAREST_M:g} m "
+            "away or more"
+        )
     return replace(track, transmitter_m=place, straight=None)
 
 
