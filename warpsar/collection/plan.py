@@ -473,9 +473,9 @@ def _track(world: World, plan: Plan, frequency: float, held_m: float | None = No
             )
         count = math.ceil(lasts_s * table.prf_hz - 1e-6)
     if count is None:
-        trial = replace(plan, track=_sent(flown(1024), table))
+        trial = replace(plan, track=_sent(flown(1024), table, name))
         count = max(FEWEST, fft.next_fast_len(math.ceil(1024 * _turns(world, trial, frequency).max() / SPARE)))
-    return _sent(flown(count), table)
+    return _sent(flown(count), table, name)
 
 
 def _pointed(world: World, plan: Plan) -> Plan:
@@ -531,15 +531,15 @@ def _refuse_channels(world: World, table: Collection) -> None:
         )
 
 
-def _sent(track: Track, table: Collection) -> Track:
+def _sent(track: Track, table: Collection, name: str) -> Track:
     """The track with the transmitter that stands apart."""
     if table.transmitter is None:
         return track
     place = np.asarray(table.transmitter.position_m) + track.time_s[:, None] * table.transmitter.velocity_m_s
     if (nearest := float(np.linalg.norm(place, axis=1).min())) < NEAREST_M:
         raise InputError(
-            f"collection.transmitter: found a place {nearest:.3g} m from the reference point; must be {NEAREST_M:g} m "
-            "away or more"
+            f"{name}: collection.transmitter: found a place {nearest:.3g} m from the reference point; must be "
+            f"{NEAREST_M:g} m away or more"
         )
     return replace(track, transmitter_m=place, straight=None)
 
