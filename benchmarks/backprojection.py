@@ -8,7 +8,8 @@ The geometry is that of the table of NVIDIA MatX's `sar_bp` (README of its examp
 the kernels alone, as there: pixels times pulses in a second, without the FFT of range profiles and without transfers.
 The signal-to-error ratio is that of a piece of 64 x 64 pixels, against float64 with the same interpolation.
 
-On a CPU it is the factorised way, whole, beside the exact one on one thread: state WARPSAR_THREADS=1 to compare them.
+On a CPU it is the factorised way, whole, beside the exact one on one thread. What the processor spent compares them,
+whatever else the machine does.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from simulate import machine
 
 from warpsar.formats.base.data import PhaseHistory
 from warpsar.kernels.backproject import backproject_kernel
-from warpsar.kernels.backproject_plane import EACH
+from warpsar.kernels.backproject_plane import COLUMNS, EACH, ROWS
 from warpsar.measured import focus as focusing
 from warpsar.measured import plane as planes
 from warpsar.measured.plane import Plane
@@ -41,11 +42,11 @@ BLOCK = 256
 """Pulses of one launch."""
 
 
-def history(pulses: int, swath_m: float) -> PhaseHistory:
-    """Noise of a satellite's spotlight whose unambiguous swath holds the image."""
+def history(pulses: int, swath_m: float, slant: float = 770e3) -> PhaseHistory:
+    """Noise of a spotlight whose unambiguous swath holds the image, from a slant range [m]."""
     random = np.random.default_rng(0)
     angle = np.deg2rad(np.linspace(-0.5, 0.5, pulses))
-    slant, grazing = 770e3, np.deg2rad(43.0)
+    grazing = np.deg2rad(43.0)
     level, height = slant * np.cos(grazing), slant * np.sin(grazing)
     place = np.stack([-level * np.cos(angle), level * np.sin(angle), np.full(pulses, height)], axis=1)
     band = 0.6e9
@@ -88,9 +89,10 @@ def double(profiles: np.ndarray, frequency: np.ndarray, per_metre: np.ndarray, o
     return image, linear
 
 
-def measured(device: wp.Device, pixels: int, pulses: int, variants: bool) -> dict[str, Any]:
-    grid = plane(pixels)
-    one = history(pulses, 0.75 * pixels * 0.7)
+def measured(options: argparse.Namespace, device: wp.Device) -> dict[str, Any]:
+    pixels, pulses, variants = options.pixels, options.pulses, options.variants
+    grid = plane(pixels, options.step)
+    one = history(pulses, 0.75 * pixels * options.step, options.slant_range)
     blocks = [np.arange(a, min(a + BLOCK, pulses)) for a in range(0, pulses, BLOCK)]
     there = [focusing.uploaded(one, some, np.ones(len(some)), "none", device) for some in blocks]
     side = min(64, pixels)
@@ -103,7 +105,8 @@ def measured(device: wp.Device, pixels: int, pulses: int, variants: bool) -> dic
         np.array(double(*focusing.range_profiles(one, some, np.ones(len(some)), "none"), _some(one, some), points))
         for some in blocks
     )
-    struct = planes.grid_of(grid)
+    size = planes.block_size(one, grid)
+    struct = planes.grid_of(grid, *(size or (ROWS, COLUMNS)))
     found: dict[str, Any] = {"pixels": pixels**2, "pulses": pulses, "bins": focusing.profile_bins(one), "ways": {}}
     if device.is_cpu:  # the whole of it, with the transforms of the pulses and their threads
         kept: list[Any] = []
@@ -111,11 +114,11 @@ def measured(device: wp.Device, pixels: int, pulses: int, variants: bool) -> dic
         def factorised() -> None:
             kept[:] = [planes.focus_plane(one, grid, reference_point_m=np.zeros(3), device=device.alias)]
 
-        spent = timed(factorised, 1)["best_s"]
+        spent = timed(factorised, 1)
         ratio = _signal_to_error_db(pulses * kept[0][piece], exact[0])
         part = planes.part_of(one, grid)
         name = "blocks" if part is None else f"factorised, parts of {part.pulses} pulses"
-        found["ways"][name] = {"s": spent, "per_s": pixels**2 * pulses / spent, "signal_to_error_db": ratio}
+        found["ways"][name] = _way(spent, pixels**2 * pulses, ratio)
         print(name, found["ways"][name], flush=True)
     for each in (1, 2, 4, 8, 16) if variants else (int(EACH),) if device.is_cuda else ():
         for cubic in (True, False) if variants else (True,):
@@ -128,9 +131,8 @@ def measured(device: wp.Device, pixels: int, pulses: int, variants: bool) -> dic
             work()
             made = image.numpy()[piece]
             ratio = _signal_to_error_db(made[..., 0] + 1j * made[..., 1], exact[0 if cubic else 1])
-            spent = timed(work, RUNS)["best_s"]
             name = f"{each} rows, {'cubic' if cubic else 'linear'}"
-            found["ways"][name] = {"s": spent, "per_s": pixels**2 * pulses / spent, "signal_to_error_db": ratio}
+            found["ways"][name] = _way(timed(work, RUNS), pixels**2 * pulses, ratio)
             print(name, found["ways"][name], flush=True)
     flat = wp.array(grid.points()[: max(1, pixels // 16)].reshape(-1, 3), dtype=wp.vec3d, device=device)
     image = wp.zeros(flat.shape[0], dtype=wp.vec2, device=device)
@@ -139,20 +141,28 @@ def measured(device: wp.Device, pixels: int, pulses: int, variants: bool) -> dic
         for pulses_there in there[:2]:
             wp.launch(backproject_kernel, flat.shape[0], inputs=[flat, pulses_there], outputs=[image], device=device)
 
-    spent = timed(plain, RUNS if device.is_cuda else 1)["best_s"]
+    spent = timed(plain, RUNS if device.is_cuda else 1)
     dots = wp.array(points.reshape(-1, 3), dtype=wp.vec3d, device=device)
     image = wp.zeros(dots.shape[0], dtype=wp.vec2, device=device)
     for pulses_there in there:
         wp.launch(backproject_kernel, dots.shape[0], inputs=[dots, pulses_there], outputs=[image], device=device)
     values = image.numpy()
     count = sum(len(some) for some in blocks[:2])
-    found["ways"]["exact"] = {
-        "s": spent * pixels**2 * pulses / (flat.shape[0] * count),
-        "per_s": flat.shape[0] * count / spent,
-        "signal_to_error_db": _signal_to_error_db((values[:, 0] + 1j * values[:, 1]).reshape(side, side), exact[0]),
-    }
+    ratio = _signal_to_error_db((values[:, 0] + 1j * values[:, 1]).reshape(side, side), exact[0])
+    found["ways"]["exact"] = _way(spent, pixels**2 * pulses, ratio, flat.shape[0] * count)
     print("exact", found["ways"]["exact"], flush=True)
     return found
+
+
+def _way(spent: dict[str, Any], sums: int, ratio_db: float, timed_sums: int | None = None) -> dict[str, Any]:
+    """Times of all pixels and pulses, from those of `timed_sums` of them."""
+    share = sums / (timed_sums or sums)
+    return {
+        "s": share * spent["best_s"],
+        "processor_s": share * spent["processor_s"],
+        "per_s": sums / (share * spent["best_s"]),
+        "signal_to_error_db": ratio_db,
+    }
 
 
 def _some(one: PhaseHistory, some: np.ndarray) -> Any:
@@ -172,9 +182,12 @@ def _signal_to_error_db(found: np.ndarray, exact: np.ndarray) -> float:
     return float(10.0 * np.log10((np.abs(exact) ** 2).sum() / (np.abs(found - exact) ** 2).sum()))
 
 
-def written(found: dict[str, Any]) -> list[tuple[str, str, str, str]]:
+def written(found: dict[str, Any], cpu: bool) -> list[tuple[str, str, str, str]]:
+    def time(one: dict[str, Any]) -> str:
+        return f"{one['s']:.3g} s" + (f" ({one['processor_s']:.3g} s of the processor)" if cpu else "")
+
     return [
-        (name, f"{one['s']:.3g} s", f"{one['per_s'] / 1e9:.3g} x 10^9", f"{one['signal_to_error_db']:.1f} dB")
+        (name, time(one), f"{one['per_s'] / 1e9:.3g} x 10^9", f"{one['signal_to_error_db']:.1f} dB")
         for name, one in found["ways"].items()
     ]
 
@@ -184,6 +197,8 @@ def main() -> None:
     parser.add_argument("--device")
     parser.add_argument("--pixels", type=int, default=8192)
     parser.add_argument("--pulses", type=int, default=2048)
+    parser.add_argument("--slant-range", type=float, default=770e3, help="[m]")
+    parser.add_argument("--step", type=float, default=0.7, help="of pixels on level ground [m]")
     parser.add_argument("--variants", action="store_true", help="threads of other sizes, and linear interpolation")
     tables.add_options(parser)
     options = parser.parse_args()
@@ -191,13 +206,15 @@ def main() -> None:
         result = tables.stored(options.source)
     else:
         device = devices.resolve_device(options.device)
-        result = {"backprojection": measured(device, options.pixels, options.pulses, options.variants)}
+        result = {"backprojection": measured(options, device)}
         result |= {"made": tables.made(), "machine": machine(options.device)}
         tables.save(options.out, result)
     one = result["backprojection"]
     header = (f"{one['pixels']:,} pixels x {one['pulses']:,} pulses", "time", "pixel-pulses/s", "signal to error")
     kind = result["machine"]["device"].partition(":")[0]
-    tables.publish({f"backprojection.{kind}": tables.markdown(header, written(one))}, result, options.write)
+    tables.publish(
+        {f"backprojection.{kind}": tables.markdown(header, written(one, kind == "cpu"))}, result, options.write
+    )
 
 
 if __name__ == "__main__":

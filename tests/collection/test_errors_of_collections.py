@@ -111,6 +111,17 @@ def pattern_file(path: Path, gain: Any, phase_deg: Any, elevations: Any = None) 
     return path
 
 
+@pytest.mark.parametrize("prf_hz", [3.0, 7.0])
+@pytest.mark.parametrize("mode", ["spotlight", "stripmap"])
+def test_pulses_come_as_often_as_stated(prf_hz: float, mode: str) -> None:
+    """Few of them, too: with more than stated the copies would lie elsewhere."""
+    table = {"mode": mode, "prf_hz": prf_hz, "azimuth_ambiguities": True, "resolution_m": (1.0, 1.0)}
+    planned = plan(collection=table)
+    np.testing.assert_allclose(np.diff(planned.track.time_s), 1.0 / prf_hz, rtol=1e-9)
+    speed = np.linalg.norm(planned.track.velocity_m_s()[0][planned.middle])
+    assert speed == pytest.approx(100.0, rel=1e-6)
+
+
 def test_a_measured_pattern_is_the_one_that_its_table_says(tmp_path: Path, device: str) -> None:
     """That of a rectangular antenna, from its closed form: sinc of the sine over the half-power width, twice."""
 
@@ -126,6 +137,64 @@ def test_a_measured_pattern_is_the_one_that_its_table_says(tmp_path: Path, devic
         for antenna in (Antenna(pattern=path), Antenna(azimuth_deg=0.9, elevation_deg=0.7))
     ]
     np.testing.assert_allclose(made[0], made[1], atol=2e-3 * np.abs(made[1]).max())
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+@pytest.mark.parametrize("squint_deg", [0.0, 10.0])
+def test_angles_of_a_pattern_are_forward_and_up(side: str, squint_deg: float, tmp_path: Path) -> None:
+    """Gain and phase that are linear in both angles, at points on all sides: by the geometry of angles."""
+    path = tmp_path / "pattern.csv"
+    angles = np.linspace(-1.0, 1.0, 41)
+    rows = [f"{a},{e},{4.0 * a + 2.0 * e - 3.0},{50.0 * a - 70.0 * e}" for a in angles for e in angles]
+    path.write_text("azimuth_deg,elevation_deg,gain_db,phase_deg\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    table = {"antenna": Antenna(pattern=path), "side": side, "squint_deg": squint_deg}
+    planned = plan(collection=table)
+    flight = planned.track.velocity_m_s()[0][planned.middle]
+    place = planned.track.receiver_m[planned.middle]
+    look = -place / np.linalg.norm(place)
+    level = np.cross(look, [0.0, 0.0, 1.0])
+    level *= np.sign(level @ flight) / np.linalg.norm(level)
+    up = np.cross(level, look)
+    up *= np.sign(up[2])
+    for where in (12.0 * level, -9.0 * level, 10.0 * np.array([*look[:2], 0.0]), np.array([4.0, -6.0, 3.0])):
+        seen, plain = (
+            points(one, where[None], ONE, "cpu") for one in (planned, plan(collection=table | {"antenna": None}))
+        )
+        ratio = seen.samples[0, 3, planned.middle] / plain.samples[0, 3, planned.middle]
+        to = (where - place) / np.linalg.norm(where - place)
+        azimuth, elevation = np.rad2deg(np.arcsin([to @ level, to @ up]))
+        assert 20.0 * np.log10(abs(ratio)) == pytest.approx(4.0 * azimuth + 2.0 * elevation - 3.0, abs=0.005)
+        turned = ratio * np.exp(-1j * np.deg2rad(50.0 * azimuth - 70.0 * elevation))
+        assert np.angle(turned, deg=True) == pytest.approx(0.0, abs=0.1)  # between the table's angles it is cubic
+
+
+def test_images_of_both_kinds_are_calibrated_at_the_axis(tmp_path: Path) -> None:
+    """Whatever the gain of the axis is; its phase stays, and the fall off the axis."""
+    path = tmp_path / "pattern.csv"
+    rows = [f"{a},{e},{40.0 - 30.0 * (a * a + e * e)},{25.0}" for a in ANGLES for e in ANGLES]
+    path.write_text("azimuth_deg,elevation_deg,gain_db,phase_deg\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    images = {}
+    for focused in ("direct", "backprojection"):
+        for antenna in (None, Antenna(pattern=path)):
+            made = scene(
+                field(16.0, 16.0),
+                shape=(40, 40),
+                spacing=(0.6, 0.6),
+                radar={"terms": ("rough",)},
+                collection={"focus": focused, "antenna": antenna, "resolution_m": (1.0, 1.0), "slant_range_m": 1e3},
+            )
+            images[focused, antenna is None] = warpsar.slc(made, device="cpu")[0].images["HH"]
+    one, other = images["direct", False], images["backprojection", False]
+    np.testing.assert_allclose(one, other, atol=0.03 * np.abs(other).max())
+    for focused in ("direct", "backprojection"):
+        with_pattern, without = images[focused, False], images[focused, True]
+        middle = (slice(17, 23), slice(17, 23))  # within 0.15 degrees of the axis: 0.7 dB at its corners
+        ratio = (with_pattern[middle] * without[middle].conj()).sum() / (np.abs(without[middle]) ** 2).sum()
+        assert np.angle(ratio, deg=True) == pytest.approx(25.0, abs=2.0)
+        assert 0.92 < abs(ratio) < 1.0
+
+
+ANGLES = np.linspace(-1.0, 1.0, 81)
 
 
 def test_a_phase_over_the_beam_moves_a_stripmap(tmp_path: Path) -> None:
@@ -233,6 +302,7 @@ def test_a_two_way_pattern_has_one_antenna(tmp_path: Path) -> None:
         ("azimuth_deg,gain_db\n0,0\n1,0\n3,0\n", "regular grid"),
         ("azimuth_deg,gain_db\n0,0\n1,nan\n", "not finite"),
         ("azimuth_deg,gain_db\n0,0\n100,0\n", "beyond 90 degrees"),
+        ("azimuth_deg,gain_db\n1,0\n2,0\n", "must hold the beam's axis"),
     ],
 )
 def test_a_pattern_that_is_none(text: str, message: str, tmp_path: Path) -> None:

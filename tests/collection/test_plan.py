@@ -13,7 +13,7 @@ from collected_scenes import FREQUENCY, SPOT, WAVELENGTH, field, scene
 import warpsar
 from warpsar.collection.plan import Plan, plan_of
 from warpsar.collection.presets import PRESETS
-from warpsar.world.collection import Collection
+from warpsar.world.collection import Collection, Transmitter
 from warpsar.world.frame import SPEED_OF_LIGHT
 from warpsar.world.taper import width_in_cells
 
@@ -155,7 +155,17 @@ def test_a_key_that_a_mode_has_no_use_for_is_refused(mode: str, key: str, value:
 REFUSED = {
     "below the mesh": ({"slant_range_m": 5.0, "aperture_deg": 10.0, "pulses": 64}, "under the ground"),
     "pulses too far apart": ({"pulses": 8}, "ambiguous"),
-    "too few pulses a second": ({"prf_hz": 0.2}, "collection.prf_hz: found 0.2, 32 pulses"),
+    "too few pulses a second": ({"prf_hz": 2.0}, "collection.prf_hz: found 2, 8 pulses"),
+    "no pulse": ({"prf_hz": 1e-9, "azimuth_ambiguities": True}, "which gives 3.71e-09 pulses"),
+    "pulses beyond number": ({"prf_hz": 1e12}, "must give 2 to 10000000"),
+    "a transmitter in the scene": (
+        {"transmitter": Transmitter(position_m=(0.0, 0.0, 0.0))},
+        "from the reference point",
+    ),
+    "a transmitter behind": (
+        {"transmitter": Transmitter(position_m=(-3000.0, -5e3, -8e3))},
+        "degrees from the receiver",
+    ),
     "a carrier beside the band": ({"start_hz": 1e9, "stop_hz": 1.4e9}, "must hold the carrier frequency, 9.6e"),
     "too few frequencies": ({"frequencies": 16}, "collection.frequencies"),
     "a band too narrow": ({"bandwidth_hz": 1e8}, "holds 1.78 m"),

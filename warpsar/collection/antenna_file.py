@@ -77,6 +77,11 @@ def read(path: Path) -> AntennaPatternTable:
         )
     if np.abs(table[:, :2]).max() > 90.0:
         raise InputError(f"{path}: found angles beyond 90 degrees; must be off the beam's axis")
+    if any(axes[k][0] > 0.0 or axes[k][-1] < 0.0 for k in (0, 1)):
+        raise InputError(
+            f"{path}: found azimuths of {axes[0][0]:g} to {axes[0][-1]:g} and elevations of {axes[1][0]:g} to "
+            f"{axes[1][-1]:g} degrees; must hold the beam's axis, 0 and 0, about which images are calibrated"
+        )
     value = 10.0 ** (table[order, 2] / 20.0) * np.exp(1j * np.deg2rad(table[order, 3]))
     return _finer(axes, value.reshape(len(axes[0]), len(axes[1])))
 

@@ -224,6 +224,8 @@ class DirectImage:
         self.range_m, self.azimuth_m = pixel_centres(grid.shape, grid.spacing_m, (1, 1))
         self.axes = _axes(plan, self.range_m, self.azimuth_m, grid)
         self._beam = beam_of(plan, device)
+        self._calibrated = 1.0 if plan.pattern is None else float(plan.beam_gain[plan.middle])
+        """As a backprojected image is: over the antenna's amplitude toward the reference point."""
 
     def tiles(self, tile_bytes: int) -> list[Tile]:
         """Rows and columns of the tiles: as few as the memory of one allows, and of much the same size."""
@@ -258,7 +260,7 @@ class DirectImage:
         frame = self.frame(tile)
         for one in seen(frame, *self.reach(tile)):
             chosen = upload(np.array(one.columns, np.int32), int, device)
-            inputs = [frame, one.point, one.amplitude, chosen, one.scale]
+            inputs = [frame, one.point, one.amplitude, chosen, one.scale / self._calibrated]
             outputs = [out, counts]
             wp.launch(
                 kernels.image_deposit_kernel, one.point.shape[0], inputs=inputs, outputs=outputs, device=device

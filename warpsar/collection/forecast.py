@@ -144,7 +144,7 @@ def forecast(bodies: Bodies, plans: Sequence[Plan], product: str) -> CollectionF
     rough, tubes = _rough(stream), _tubes(stream)
     parts = [*rough.parts, *tubes.parts]
     seconds = built * (len({spacing_m(plan) for plan in plans}) - 1)
-    scatterers = 0.0
+    scatterers = look = 0.0
     deposit = _Deposit.of(bodies, first, parts, once) if parts or not once else _Deposit(0.0, 0.0)
     tiled = _Tiled.of(bodies, first) if once else None
     for plan in plans:
@@ -154,6 +154,7 @@ def forecast(bodies: Bodies, plans: Sequence[Plan], product: str) -> CollectionF
             seen = 1 if once else (fading(plan, knots) > 0.0).sum(axis=1)
             several = kind.scatterers * (1 + len(plan.copies))
             scatterers += several * len(knots)
+            look = max(look, several if len(knots) else 0.0)
             seconds += again * (kind.seconds * len(knots) + deposit.each * several * float(np.sum(seen)))
         pulses = 1 if once else len(plan.track)
         batches = math.ceil(max(scatterers, 1.0) / len(plans) / bodies.together)
@@ -161,11 +162,12 @@ def forecast(bodies: Bodies, plans: Sequence[Plan], product: str) -> CollectionF
             batches = 1
         seconds += 0.0 if once else deposit.whole * pulses * batches
     held = max(held_gib(world, plan, product) for plan in plans)
-    gib = held + min(bodies.together, scatterers / len(plans)) * _HELD_BYTES / 2**30
+    gib = held + min(bodies.together, look) * _HELD_BYTES / 2**30  # looks follow one another
     if tiled is not None:
         seconds += len(plans) * tiled.seconds
         scatterers += len(plans) * tiled.scatterers
-        gib = held + (tiled.bytes + min(bodies.together, scatterers / len(plans)) * _HELD_BYTES) / 2**30
+        look = max(look, tiled.scatterers)
+        gib = held + (tiled.bytes + min(bodies.together, look) * _HELD_BYTES) / 2**30
     if product == "slc":
         seconds += len(plans) * (_picture(world) + (0.0 if once else _focusing(bodies, first)))
     return CollectionForecast(len(plans), scatterers, seconds, gib) if seconds > LONG_S else None

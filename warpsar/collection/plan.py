@@ -46,13 +46,15 @@ SPARE = 0.7
 """Share of what is unambiguous that the scene takes, where the number of samples is free."""
 MOST = 0.8
 """Share that it may take at most: CPHD asks for samples of frequency a little denser than needed."""
-FEWEST = 32
+FEWEST, MOST_PULSES = 32, 10_000_000
 HALFWAY_DEG = 12.0
 """Between transmitter and receiver. Up to it what has backscatter alone is that of one antenna halfway between them.
 Physical optics of a face tilted by 45 degrees to it would be wrong by tan(45) tan(6 degrees), 1 dB."""
 FORWARD_DEG = 150.0
 """Within 30 degrees of the forward direction the shadow of a body of two wavelengths and more sends: its lobe's first
 null lies at lambda / D. Faces that both antennas see do not have it."""
+NEAREST_M = 1e-3
+"""Of a transmitter to the reference point, which it sees in some direction."""
 ROUNDED = 1e-3
 """Share by which a stated width may be below what band or aperture hold: files round it."""
 FINER = 0.05
@@ -295,7 +297,8 @@ def beam(plan: Plan, points_m: F64, pulses: NDArray[np.int64]) -> F64:
 
 
 def boresight(plan: Plan) -> tuple[F64, F64]:
-    """Unit vectors across the beam, (2, p, 3): along the track, and up; and the sines of the half-power widths, (2,).
+    """Unit vectors across the beam, (2, p, 3): level and forward along the flight, and up; and the sines of the
+    half-power widths, (2,).
 
     The beam of a spotlight follows the reference point. That of a stripmap stays abeam, or squinted.
     """
@@ -308,8 +311,12 @@ def boresight(plan: Plan) -> tuple[F64, F64]:
         look = -plan.track.receiver_m / np.linalg.norm(plan.track.receiver_m, axis=1, keepdims=True)
     level = np.cross([0.0, 0.0, 1.0], look)
     level /= np.linalg.norm(level, axis=1, keepdims=True)
+    flight = np.einsum("pk,pk->p", level, np.gradient(plan.track.receiver_m, axis=0))
+    level *= np.where(flight < 0.0, -1.0, 1.0)[:, None]
+    up = np.array([0.0, 0.0, 1.0]) - look * look[:, 2:]
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
     widths = [antenna.azimuth_deg or 0.0, antenna.elevation_deg or 0.0]
-    return np.stack([level, np.cross(level, look)]), np.sin(np.deg2rad(widths))
+    return np.stack([level, up]), np.sin(np.deg2rad(widths))
 
 
 def plans_of(world: World, device: wp.Device, product: Product = "slc") -> list[Plan]:
@@ -349,6 +356,7 @@ def plan_of(world: World, view: View, device: wp.Device) -> Plan:
     made = _pointed(world, made)
     made = replace(made, track=_track(world, made, 0.5 * (low + high)))
     if made.track.bistatic:
+        _refuse_wide(world, made)  # near the forward direction no band resolves ranges
         low, high = _band(table, response, carrier, world.name, _shortened(made))
         made = replace(made, start_hz=low, step_hz=high - low)
         made = replace(made, track=_track(world, made, 0.5 * (low + high), _azimuth_m(made)))
@@ -431,7 +439,8 @@ def _track(world: World, plan: Plan, frequency: float, held_m: float | None = No
     aperture = _aperture(world, plan, frequency, held_m)
     speed = table.speed_m_s or SPEED_M_S
 
-    def flown(count: int) -> Track:
+    def flown(count: int, whole: bool = False) -> Track:
+        """`whole`: as long as the aperture takes, however often pulses come."""
         if table.mode in ("circular", "inverse"):
             sine = float(np.hypot(*plan.geometry.s[:2]))
             lasts = slant * sine * np.deg2rad(aperture) / speed if table.mode == "circular" else TURNTABLE_S
@@ -447,19 +456,26 @@ def _track(world: World, plan: Plan, frequency: float, held_m: float | None = No
         length = 2.0 * slant * math.tan(0.5 * np.deg2rad(aperture)) / math.cos(np.deg2rad(table.squint_deg))
         if table.mode == "stripmap":  # every point of the image within the aperture passes through the beam
             length += world.grid.shape[1] * world.grid.spacing_m[1]
-        if table.prf_hz is not None and table.pulses is not None:
-            speed_here = length * table.prf_hz / count
-            return straight(plan.geometry, slant, way, length, speed_here, count)
-        return straight(plan.geometry, slant, way, length, speed, count)
+        if table.prf_hz is None or whole:
+            return straight(plan.geometry, slant, way, length, speed, count)
+        if table.pulses is None:  # a part of a pulse longer, so that pulses come as often as stated
+            return straight(plan.geometry, slant, way, count * speed / table.prf_hz, speed, count)
+        return straight(plan.geometry, slant, way, length, length * table.prf_hz / count, count)
 
     count = table.pulses
     if count is None and table.prf_hz is not None and table.mode != "inverse":
-        long = flown(FEWEST).time_s
-        count = max(FEWEST, math.ceil((long[-1] - long[0]) * FEWEST / (FEWEST - 1) * table.prf_hz))
+        long = flown(FEWEST, whole=True).time_s
+        lasts_s = (long[-1] - long[0]) * FEWEST / (FEWEST - 1)
+        if not 2.0 <= lasts_s * table.prf_hz + 1e-6 <= MOST_PULSES:
+            raise InputError(
+                f"{name}: collection.prf_hz: found {table.prf_hz:g}, which gives {lasts_s * table.prf_hz:.3g} pulses "
+                f"in the {lasts_s:.3g} s of the track; must give 2 to {MOST_PULSES}"
+            )
+        count = math.ceil(lasts_s * table.prf_hz - 1e-6)
     if count is None:
-        trial = replace(plan, track=_sent(flown(1024), table))
+        trial = replace(plan, track=_sent(flown(1024), table, name))
         count = max(FEWEST, fft.next_fast_len(math.ceil(1024 * _turns(world, trial, frequency).max() / SPARE)))
-    return _sent(flown(count), table)
+    return _sent(flown(count), table, name)
 
 
 def _pointed(world: World, plan: Plan) -> Plan:
@@ -515,11 +531,16 @@ def _refuse_channels(world: World, table: Collection) -> None:
         )
 
 
-def _sent(track: Track, table: Collection) -> Track:
+def _sent(track: Track, table: Collection, name: str) -> Track:
     """The track with the transmitter that stands apart."""
     if table.transmitter is None:
         return track
     place = np.asarray(table.transmitter.position_m) + track.time_s[:, None] * table.transmitter.velocity_m_s
+    if (nearest := float(np.linalg.norm(place, axis=1).min())) < NEAREST_M:
+        raise InputError(
+            f"{name}: collection.transmitter: found a place {nearest:.3g} m from the reference point; must be "
+            f"{NEAREST_M:g} m away or more"
+        )
     return replace(track, transmitter_m=place, straight=None)
 
 

@@ -47,6 +47,8 @@ _PULSES_TOGETHER = 256
 _EXPANSION_BYTES = 2**30
 EXPANDED_TURNS = 2e-5
 """Of phase, which an expansion may leave out at the corners of a block: 79 dB there, and 90 dB in the mean."""
+_SIZES = ((ROWS, COLUMNS), (ROWS // 2, COLUMNS // 2), (ROWS // 4, COLUMNS // 4))
+"""Of blocks: near ranges and large pixels need small ones, and an expansion costs as much as ten pixels."""
 FLAT_M = 1e-6
 """How far a plane grid may be from one in the frame of a history [m]."""
 _OVERSAMPLING = 2.0
@@ -69,12 +71,13 @@ def focus_plane(
     """The complex64 image (rows, columns) of all pulses on a plane grid, as `focus` makes it.
 
     The way is expanded to second order about the middles of blocks of pixels, and summed in float32, where that is as
-    good as the exact way: `Plane.expanded_turns`. Elsewhere, and where a swath does not reach, it is `focus` itself.
+    good as the exact way: `block_size`. Elsewhere, and where a swath does not reach, it is `focus` itself.
     On the CPU long apertures are cut into parts: 70 dB against the exact way.
     """
     target = devices.resolve_device(device)
     own = plane.in_frame(history)
-    if own is None or own.expanded_turns(history) > EXPANDED_TURNS or not _reached(history, own.ends()):
+    size = None if own is None else block_size(history, own)
+    if own is None or size is None or not _reached(history, own.ends()):
         (image,) = focus(
             history,
             plane.points(),
@@ -97,12 +100,20 @@ def focus_plane(
             chosen = pulses[first : first + step]
             there = uploaded(history, chosen, weights[chosen], window_range, target)
             if part is None or part.pulses > most:
-                add_blocks(grid_of(own), there, total, target)
+                add_blocks(grid_of(own, *size), there, total, target)
             else:
-                _add_part(own, part, there, total, target)
+                _add_part(own, part, size, there, total, target)
             bar.update(chosen.size)
     scale = np.float32(1.0 / weights.sum())
     return np.ascontiguousarray(total.numpy()).view(np.complex64)[..., 0] * scale
+
+
+def block_size(history: PhaseHistory, plane: Plane) -> tuple[int, int] | None:
+    """Rows and columns of the largest blocks that leave out no more than `EXPANDED_TURNS`; None where none does."""
+    for size in _SIZES:
+        if plane.expanded_turns(history, *size) <= EXPANDED_TURNS:
+            return size
+    return None
 
 
 @dataclass(frozen=True)
@@ -145,8 +156,10 @@ def part_of(history: PhaseHistory, plane: Plane) -> _Part | None:
     return best
 
 
-def _add_part(plane: Plane, part: _Part, pulses: Any, image: wp.array, device: wp.Device) -> None:
-    """Add the image of a part of the aperture, by a coarse grid."""
+def _add_part(
+    plane: Plane, part: _Part, size: tuple[int, int], pulses: Any, image: wp.array, device: wp.Device
+) -> None:
+    """Add the image of a part of the aperture, by a coarse grid. `size`: of blocks."""
     rows, columns = plane.shape
     count = -(-columns // part.every) + TAPS
     start = -(TAPS // 2 - 1)  # the coarse column that lies this far from the first fine one
@@ -157,7 +170,7 @@ def _add_part(plane: Plane, part: _Part, pulses: Any, image: wp.array, device: w
         shape=(rows, count),
     )
     made, middle = wp.zeros(coarse.shape, dtype=wp.vec2, device=device), pulses.position.shape[0] // 2
-    narrow = grid_of(coarse, columns=1)  # blocks as small as fine ones, about which the way may be expanded
+    narrow = grid_of(coarse, size[0], 1)  # blocks as small as fine ones, about which the way may be expanded
     add_blocks(narrow, pulses, made, device)
     wp.launch(demodulate_kernel, coarse.shape, inputs=[narrow, pulses, middle], outputs=[made], device=device)
     base, rest = np.divmod(np.arange(columns), part.every)
@@ -165,9 +178,9 @@ def _add_part(plane: Plane, part: _Part, pulses: Any, image: wp.array, device: w
     window = np.i0(_BETA * np.sqrt(np.maximum(1.0 - (2.0 * at / TAPS) ** 2, 0.0))) / np.i0(_BETA)
     weights: wp.array = wp.array((np.sinc(at) * window).astype(np.float32), dtype=float, device=device)
     first_column: wp.array = wp.array(base.astype(np.int32), dtype=int, device=device)
-    fine = grid_of(plane)
+    fine = grid_of(plane, *size)
     blocks, lanes = _blocks(fine), fine.block_rows * fine.block_columns
-    together = _BLOCKS_PER_TASK if device.is_cpu else blocks
+    together = _BLOCKS_PER_TASK * ROWS * COLUMNS // lanes if device.is_cpu else blocks
     one = _alone(pulses, middle)
 
     def add(first: int) -> None:
@@ -264,9 +277,10 @@ class Plane:
         flat = np.abs(ends[3] - (made.origin_m + i * row + j * column)).max(), np.abs(own - there).max()
         return made if max(flat) < FLAT_M else None
 
-    def expanded_turns(self, history: PhaseHistory) -> float:
-        """Turns of phase that the expansion leaves out at most: s q / 2 R^2, of third order."""
-        reach = 0.5 * np.hypot(ROWS * np.linalg.norm(self.row_m), COLUMNS * np.linalg.norm(self.column_m))
+    def expanded_turns(self, history: PhaseHistory, rows: int = ROWS, columns: int = COLUMNS) -> float:
+        """Turns of phase that the expansion about blocks of so many pixels leaves out at most: s q / 2 R^2, of third
+        order."""
+        reach = 0.5 * np.hypot(rows * np.linalg.norm(self.row_m), columns * np.linalg.norm(self.column_m))
         nearest = np.inf
         for place in (history.position_m, history.transmitter_m):
             if place is not None:
