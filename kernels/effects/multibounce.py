@@ -27,6 +27,8 @@ LEAST_SLOPE_VARIANCE = wp.constant(1.0e-4)
 
 HALVINGS = wp.constant(12)
 """Of half a cell's side: a hundredth of a radian where the phase turns by ten circles in a cell."""
+FINEST = wp.constant(8)
+"""Parts of a strip, into which it is cut at most where a corner lies in it."""
 PRIME = wp.constant(wp.uint64(1099511628211))
 """Of the hash FNV-1a."""
 
@@ -316,6 +318,17 @@ def beside(line: Line, other: Line) -> Line:
     return line
 
 
+@wp.func
+def alike(line: Line, other: Line) -> bool:
+    """Whether rays along two lines meet the same, one after the other."""
+    same = line.count == other.count and line.first == other.first
+    if line.count > 0 and line.second != other.second:
+        same = False
+    if line.count > 1 and line.third != other.third:
+        same = False
+    return same
+
+
 @wp.kernel(enable_backward=False)
 def border_kernel(
     # In:
@@ -335,38 +348,46 @@ def border_kernel(
     one = cell[i]
     if j >= one[3]:
         return
-    width = 1.0 / float(one[3])
-    middle = (float(j) + 0.5) * width - 0.5
-    near = line_of(rays, one, middle - 0.5 * width, records_out)
-    far = line_of(rays, one, middle + 0.5 * width, records_out)
-    near = beside(near, far)
-    far = beside(far, near)
-    same = near.count == far.count and near.first == far.first
-    if near.count > 0 and near.second != far.second:
-        same = False
-    if near.count > 1 and near.third != far.third:
-        same = False
-    if not same:
-        near = line_of(rays, one, middle, records_out)
-        far = near
-    begin = float(-0.5)
-    slant = float(0.0)
-    for n in range(near.count + 1):
-        end = float(0.5)
-        further = float(0.0)
-        if n < near.count:
-            end = 0.5 * (near.at[n] + far.at[n])
-            further = far.at[n] - near.at[n]
-        length = end - begin
-        if length > 1.0e-6:
-            place = place_in(rays, one, 0.5 * (begin + end), middle)
-            tube = wp.vec4(place[0], place[1], length, width)
-            if one[2] == 1:
-                tube = wp.vec4(place[0], place[1], width, length)
-            ends = wp.vec3(float(one[2]), slant / length, further / length)
-            follow(rays, place[0], place[1], tube, ends, True, records_out)
-            begin = end
-            slant = further
+    strip = 1.0 / float(one[3])
+    at = int(0)
+    parts = int(FINEST)  # of the strip, that the next piece has
+    side = line_of(rays, one, float(j) * strip - 0.5, records_out)
+    while at < FINEST:
+        width = strip * float(parts) / float(FINEST)
+        low = (float(j) + float(at) / float(FINEST)) * strip - 0.5
+        beyond = line_of(rays, one, low + width, records_out)
+        same = alike(side, beyond)
+        if not same and parts > 1:
+            parts = parts / 2
+        else:
+            middle = low + 0.5 * width
+            near = beside(side, beyond)
+            far = beside(beyond, side)
+            if not alike(near, far):
+                near = line_of(rays, one, middle, records_out)
+                far = near
+            begin = float(-0.5)
+            slant = float(0.0)
+            for n in range(near.count + 1):
+                end = float(0.5)
+                further = float(0.0)
+                if n < near.count:
+                    end = 0.5 * (near.at[n] + far.at[n])
+                    further = far.at[n] - near.at[n]
+                length = end - begin
+                if length > 1.0e-6:
+                    place = place_in(rays, one, 0.5 * (begin + end), middle)
+                    tube = wp.vec4(place[0], place[1], length, width)
+                    if one[2] == 1:
+                        tube = wp.vec4(place[0], place[1], width, length)
+                    ends = wp.vec3(float(one[2]), slant / length, further / length)
+                    follow(rays, place[0], place[1], tube, ends, True, records_out)
+                    begin = end
+                    slant = further
+            side = beyond
+            at += parts
+            while parts < FINEST and at % (2 * parts) == 0:
+                parts = 2 * parts
 
 
 @wp.kernel(enable_backward=False)

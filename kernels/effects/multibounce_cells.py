@@ -49,9 +49,13 @@ class ResolutionCells:
 
 @wp.struct
 class TubeFields:
-    """Fields of tubes, shape (n,): `place` x (range, azimuth) [cells], `field` [m] there, and its first moments [m]."""
+    """Fields of tubes, shape (n,): `place` x (range, azimuth) [cells], `field` [m] there, and its first moments [m].
+
+    `size` [m]: what the field would be if it had one phase in the whole tube.
+    """
 
     place: wp.array(dtype=wp.vec2d)
+    size: wp.array(dtype=wp.float64)
     field: wp.array(dtype=wp.vec2d)
     by_range: wp.array(dtype=wp.vec2d)
     by_azimuth: wp.array(dtype=wp.vec2d)
@@ -245,6 +249,7 @@ def tube_kernel(
         by_u = by_across
         by_v = by_along
     tubes_out.place[i] = place
+    tubes_out.size[i] = size
     tubes_out.field[i] = size * product(whole, phase)
     tubes_out.by_range[i] = (-size / cells.size[0]) * product(
         wp.dot(turn, foot_u) * by_u + wp.dot(turn, foot_v) * by_v, phase
@@ -264,13 +269,17 @@ def couple_kernel(
     cells: ResolutionCells,
     # Out:
     field_out: wp.array2d(dtype=wp.vec2d),
+    by_range_out: wp.array2d(dtype=wp.vec2d),
+    by_azimuth_out: wp.array2d(dtype=wp.vec2d),
+    even_out: wp.array2d(dtype=wp.float64),
     loose_out: wp.array2d(dtype=wp.float64),
 ):
     """The field that each group of tubes adds to each of the samples about its bin, shape (groups, offsets).
 
-    A thread has a group: it reads the responses of a tube once for all samples in a row and in a column. Both arrays
-    begin with zeros. `loose_out`, (groups, offsets) or (0, 0): sums of the squares of what each tube adds [m2], as if
-    these had no phase in common.
+    A thread has a group: it reads the responses of a tube once for all samples in a row and in a column. All arrays
+    begin with zeros. `by_range_out`, `by_azimuth_out`: the field's first moments about the sample [m cells]. `even_out`
+    [m]: the sum of the sizes of what tubes add, as if all had one phase. `loose_out`, (groups, offsets) or (0, 0): sums
+    of the squares of what each tube adds [m2], as if these had no phase in common.
     """
     i = wp.tid()
     end = order.shape[0]
@@ -290,16 +299,25 @@ def couple_kernel(
         row = int(-NEAR)
         straight = wp.vec2d()
         aside = wp.vec2d()
+        along = wp.float64(0.0)
         power = wp.float64(0.0)
         for j in range(cells.offset.shape[0]):
             offset = cells.offset[j]
             if offset[0] != row:  # offsets of a row lie together
                 row = offset[0]
                 response = read(cells.response, 0, x - wp.float64(row))
-                straight = response[0] * tubes.field[at] + response[1] * tubes.by_range[at]
-                aside = response[0] * tubes.by_azimuth[at]
-                power = response[0] * response[0] * wp.length_sq(tubes.field[at])
+                along = response[0]
+                straight = along * tubes.field[at] + response[1] * tubes.by_range[at]
+                aside = along * tubes.by_azimuth[at]
+                power = along * along * wp.length_sq(tubes.field[at])
             n = offset[1] + NEAR - 1
-            field_out[i, j] = field_out[i, j] + across[n] * straight + across_slope[n] * aside
+            share = along * across[n]
+            added = across[n] * straight + across_slope[n] * aside
+            field_out[i, j] = field_out[i, j] + added
+            by_range_out[i, j] = by_range_out[i, j] + (x - wp.float64(row)) * added + share * tubes.by_range[at]
+            by_azimuth_out[i, j] = (
+                by_azimuth_out[i, j] + (y - wp.float64(offset[1])) * added + share * tubes.by_azimuth[at]
+            )
+            even_out[i, j] = even_out[i, j] + wp.abs(share) * tubes.size[at]
             if loose_out.shape[0] > 0:
                 loose_out[i, j] = loose_out[i, j] + across[n] * across[n] * power

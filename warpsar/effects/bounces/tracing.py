@@ -422,12 +422,12 @@ def _coupled(
     if cells is None:
         return None
     mesh, wavenumber = render.stage.target.triangles, render.hits.geometry.wavenumber
-    field, loose = couple(rays, mesh, records, order, first, merged, cells, wavenumber, loosely)
+    fields = couple(rays, mesh, records, order, first, merged, cells, wavenumber, loosely)
     middle = records.ray.numpy()[order.numpy()][:, :2].astype(float)
     start, step = (rays.azimuth_start, rays.elevation_start), (rays.azimuth_step, rays.elevation_step)
     cell = np.floor((middle - start) / step).astype(np.int64)
     own = {name: getattr(merged, name).numpy() for name in _ARRAYS}
-    return Coupled(own, field, loose, cell, first.numpy().astype(np.int64))
+    return Coupled(own, **fields, cell=cell, first=first.numpy().astype(np.int64))
 
 
 def _merge(records: kernels.PathRecords, count: int, max_bounces: int, couples: Any) -> list[_Merged | None]:
