@@ -25,12 +25,20 @@ EDGE = wp.constant(1.0e-3)
 # Slope variance that even a smooth surface has: it keeps the lobe of a mirror wide enough for a mesh's facets.
 LEAST_SLOPE_VARIANCE = wp.constant(1.0e-4)
 
-HALVINGS = wp.constant(12)
-"""Of half a cell's side: a hundredth of a radian where the phase turns by ten circles in a cell."""
+STRETCHES = wp.constant(4)
+"""Of a line across a cell, in each of which what rays meet may change once."""
+HALVINGS = wp.constant(11)
+"""Of a stretch: a hundredth of a radian where the phase turns by ten circles in a cell."""
 FINEST = wp.constant(8)
 """Parts of a strip, into which it is cut at most where a corner lies in it."""
 PRIME = wp.constant(wp.uint64(1099511628211))
 """Of the hash FNV-1a."""
+
+
+changes = wp.types.vector(length=int(STRETCHES), dtype=wp.float32)
+"""Places along a line."""
+marks = wp.types.vector(length=int(STRETCHES) + 1, dtype=wp.uint64)
+"""Of rays before, between and after the changes of a line."""
 
 
 @wp.struct
@@ -249,10 +257,8 @@ class Line:
     """A line across a cell: `count` places where what rays meet changes, from -0.5 to 0.5, and the marks of rays."""
 
     count: int
-    at: wp.vec2
-    first: wp.uint64
-    second: wp.uint64
-    third: wp.uint64
+    at: changes
+    mark: marks
 
 
 @wp.func
@@ -277,13 +283,13 @@ def mark_at(rays: PathRays, cell: wp.vec4i, along: float, across: float, records
 
 @wp.func
 def line_of(rays: PathRays, cell: wp.vec4i, across: float, records: PathRecords) -> Line:
-    """A change is found by halving, one in each of two stretches."""
+    """A change is found by halving, one in each stretch."""
     line = Line()
-    line.first = mark_at(rays, cell, -0.5, across, records)
-    mark = line.first
-    for n in range(2):
-        low = 0.5 * float(n) - 0.5
-        high = 0.5 * float(n)
+    mark = mark_at(rays, cell, -0.5, across, records)
+    line.mark[0] = mark
+    for n in range(STRETCHES):
+        low = float(n) / float(STRETCHES) - 0.5
+        high = float(n + 1) / float(STRETCHES) - 0.5
         beyond = mark_at(rays, cell, high, across, records)
         if beyond != mark:
             for _half in range(HALVINGS):
@@ -294,10 +300,7 @@ def line_of(rays: PathRays, cell: wp.vec4i, across: float, records: PathRecords)
                     high = middle
             line.at[line.count] = 0.5 * (low + high)
             line.count += 1
-            if line.count == 1:
-                line.second = beyond
-            else:
-                line.third = beyond
+            line.mark[line.count] = beyond
         mark = beyond
     return line
 
@@ -305,27 +308,31 @@ def line_of(rays: PathRays, cell: wp.vec4i, across: float, records: PathRecords)
 @wp.func
 def beside(line: Line, other: Line) -> Line:
     """The line with as many changes as the other one has, if it has none: the border leaves by an end of the strip."""
+    found = Line()
+    found.count = line.count
+    found.at = 1.0 * line.at
+    for n in range(line.count + 1):
+        found.mark[n] = line.mark[n]
     if line.count == 0 and other.count == 1:
-        if line.first == other.first:
-            line.at[0] = 0.5
-        elif line.first == other.second:
-            line.at[0] = -0.5
-        else:
-            return line
-        line.count = 1
-        line.first = other.first
-        line.second = other.second
-    return line
+        if line.mark[0] == other.mark[0]:
+            found.at[0] = 0.5
+            found.count = 1
+        elif line.mark[0] == other.mark[1]:
+            found.at[0] = -0.5
+            found.count = 1
+        if found.count == 1:
+            found.mark[0] = other.mark[0]
+            found.mark[1] = other.mark[1]
+    return found
 
 
 @wp.func
 def alike(line: Line, other: Line) -> bool:
     """Whether rays along two lines meet the same, one after the other."""
-    same = line.count == other.count and line.first == other.first
-    if line.count > 0 and line.second != other.second:
-        same = False
-    if line.count > 1 and line.third != other.third:
-        same = False
+    same = line.count == other.count
+    for n in range(line.count + 1):
+        if line.mark[n] != other.mark[n]:
+            same = False
     return same
 
 
