@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from warpsar.kernels.effects import multibounce_cells as kernels
 from warpsar.kernels.geometry import RayGrid, Triangles
@@ -190,9 +192,23 @@ def kinds_of(normal: NDArray[np.float64], other: NDArray[Any]) -> NDArray[np.int
     return np.unique(key, axis=0, return_inverse=True)[1].reshape(-1) + 1
 
 
+def bodies_of(corners: NDArray[np.int64], planes: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Numbers of faces, from 1 on, that are alike for faces of one plane, by number, that touch.
+
+    `corners`: numbers of the places of each face's corners, (n, 3).
+    """
+    n = len(corners)
+    _, node = np.unique(np.column_stack([np.repeat(planes, 3), corners.reshape(-1)]), axis=0, return_inverse=True)
+    node = node.reshape(-1)
+    links = coo_array((np.ones(3 * n, bool), (np.repeat(np.arange(n), 3), n + node)), shape=(n + 3 * n,) * 2)
+    label = connected_components(links, directed=False)[1][:n]
+    return np.asarray(np.unique(label, return_inverse=True)[1].reshape(-1) + 1, np.int64)
+
+
 def samples_of(
     fields: SharedFields,
     kinds: NDArray[np.int64],
+    bodies: NDArray[np.int64],
     mirrors: NDArray[np.float64],
     columns: int,
     pixel_area_m2: float,
@@ -201,20 +217,20 @@ def samples_of(
     """Paths by sample and kinds of their faces (`kinds_of`), as arrays of `PathRecords`, and their samples.
 
     Faces of one kind answer alike, so the fields of their tubes are added up. The surface is that where the strongest
-    of them lies. `mirrors`: about how much of a field each face sends on, by number. `columns` of the bins.
+    of them lies. `bodies`: numbers of the connected planes of faces, from 1 on. `mirrors`: about how much of a field each
+    face sends on, by number. `columns` of the bins.
 
     A sample's power falls where the tubes lie from which it comes, not into the sample's own place: an isolated body
     keeps its pixel, and its power does not depend on where it lies between the samples. Two corners in one sample share
-    its power as their `mirrors` say: one of metal and one of soil do not have half of it each.
+    its power as their `mirrors` say: one of metal and one of soil do not have half of it each. None of it falls between
+    two bodies.
     """
     records, group, place, field = fields.records, fields.group, fields.place, fields.field
     mirrored = np.append(1.0, mirrors)[records["faces"]].prod(axis=1)[group]
     sent = field * mirrored
     power = np.abs(sent) ** 2
     bins = records["bin"][group]
-    _, met = np.unique(np.append(0, kinds)[records["faces"]], axis=0, return_inverse=True)
-    ways = int(met.max(initial=0)) + 1
-    keys, path = np.unique(place * ways + met.reshape(-1)[group], return_inverse=True)
+    keys, path, ways = _by_sample(place, kinds, records["faces"], group)
     n = keys.size
     total = np.bincount(path, power, n)
 
@@ -233,7 +249,8 @@ def samples_of(
         "ray": np.zeros((n, 4), np.float32),
         "ends": np.zeros((n, 3), np.float32),
     }
-    owner, bin_, share = _falls(fields, sample[path], path, bins, columns, mirrored)
+    met = _by_sample(place, bodies, records["faces"], group)[1]
+    owner, bin_, share = _falls(fields, sample[path], met, bins, columns, mirrored)
     count = np.diff(first)[owner]
     entry = np.repeat(first[owner] - np.append(0, np.cumsum(count)[:-1]), count) + np.arange(count.sum())
     bin_, share = np.repeat(bin_, count), np.repeat(share, count) * 4.0 * np.pi / pixel_area_m2
@@ -251,6 +268,17 @@ def samples_of(
         upload(bin_[order], np.int32, int),
         upload(share[order], np.float32, float),
     )
+
+
+def _by_sample(
+    place: NDArray[np.int64], numbers: NDArray[np.int64], faces: NDArray[np.int32], group: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
+    """Shares of fields by sample and by the `numbers` of the faces that their groups meet: keys in order, each share's,
+    and what a key is to be divided by for its sample."""
+    _, met = np.unique(np.append(0, numbers)[faces], axis=0, return_inverse=True)
+    ways = int(met.max(initial=0)) + 1
+    keys, which = np.unique(place * ways + met.reshape(-1)[group], return_inverse=True)
+    return keys, which, ways
 
 
 def share(parts: Sequence[Coupled], grid: BinGrid, cell_m: tuple[float, float]) -> SharedFields:
@@ -388,9 +416,10 @@ def _falls(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
     """Into which bins the power of each sample falls: samples in order, bins, and shares whose sum is 1 by sample.
 
-    `sample` and `path` of each share of a field, both from 0 on; `columns` of the bins; `mirrored`: how much of a field
-    its faces send on. The paths of a sample share its power by that of their own fields, all their groups together: how
-    the tubes were grouped, by bands of rays, by the triangles of a face and by the size of the bins, does not matter.
+    `sample` and `path` of each share of a field, both from 0 on, paths being those over other bodies; `columns` of the
+    bins; `mirrored`: how much of a field its faces send on. The paths of a sample share its power by that of their own
+    fields, all their groups together: how the tubes were grouped, by bands of rays, by the triangles of a face and by
+    the size of the bins, does not matter.
     Where the fields of a path have one phase, its bins share by the power of a tube that is as large in all of them.
     Where they cancel, little is left, and it comes from the ends: its mean place is that which the sum of the fields
     has, Re(SUM x f F*) / |F|^2, whose mean over samples is that of the image of |field|^2 by Parseval. A part of the
