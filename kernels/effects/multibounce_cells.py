@@ -27,6 +27,10 @@ REACH = wp.constant(16)
 NEAR = wp.constant(12)
 """Samples on each side of a field that may get a share of it."""
 
+WHOLE = wp.constant(1.0)
+FADED = wp.constant(4.0)
+"""Products of the distances in range and azimuth [cells], between which the response fades: samples beyond get nothing."""
+
 along_an_axis = wp.types.vector(length=2 * int(NEAR), dtype=wp.float64)
 """Numbers of the samples about one, from `1 - NEAR` to `NEAR`."""
 
@@ -136,6 +140,23 @@ def read(table: wp.array2d(dtype=wp.vec2d), axis: int, distance: wp.float64) -> 
     return (ONE - part) * table[axis, low] + part * table[axis, low + 1]
 
 
+@wp.func
+def faded(x: wp.float64, y: wp.float64) -> wp.vec3d:
+    """What is left of the response at distances x, y [cells], and its slopes along both. Where it ended with a step,
+    fields that cancel would leave a power there that no body sends."""
+    product_of = wp.abs(x * y)
+    if product_of <= wp.float64(WHOLE):
+        return wp.vec3d(ONE, ZERO, ZERO)
+    if product_of >= wp.float64(FADED):
+        return wp.vec3d()
+    width = wp.float64(FADED) - wp.float64(WHOLE)
+    part = (wp.float64(FADED) - product_of) / width
+    slope = wp.float64(-6.0) * part * (ONE - part) / width
+    return wp.vec3d(
+        part * part * (wp.float64(3.0) - TWO * part), slope * wp.sign(x) * wp.abs(y), slope * wp.sign(y) * wp.abs(x)
+    )
+
+
 @wp.kernel(enable_backward=False)
 def tube_kernel(
     # In:
@@ -228,7 +249,11 @@ def tube_kernel(
     total = wp.float64(0.0)
     for j in range(cells.offset.shape[0]):
         offset = cells.offset[j]
-        share = near_range[offset[0] + NEAR - 1] * near_azimuth[offset[1] + NEAR - 1]
+        fade = faded(
+            place[0] - wp.float64(base[0]) - wp.float64(offset[0]),
+            place[1] - wp.float64(base[1]) - wp.float64(offset[1]),
+        )
+        share = fade[0] * near_range[offset[0] + NEAR - 1] * near_azimuth[offset[1] + NEAR - 1]
         total += share * share
     size = wavenumber / FOUR_PI * area / wp.sqrt(wp.max(total, wp.float64(1.0e-3)))
     phase = turned(-TWO * wavenumber * along)
@@ -311,8 +336,11 @@ def couple_kernel(
                 aside = along * tubes.by_azimuth[at]
                 power = along * along * wp.length_sq(tubes.field[at])
             n = offset[1] + NEAR - 1
-            share = along * across[n]
-            added = across[n] * straight + across_slope[n] * aside
+            fade = faded(x - wp.float64(row), y - wp.float64(offset[1]))
+            share = fade[0] * along * across[n]
+            added = fade[0] * (across[n] * straight + across_slope[n] * aside) + along * across[n] * (
+                fade[1] * tubes.by_range[at] + fade[2] * tubes.by_azimuth[at]
+            )
             field_out[i, j] = field_out[i, j] + added
             by_range_out[i, j] = by_range_out[i, j] + (x - wp.float64(row)) * added + share * tubes.by_range[at]
             by_azimuth_out[i, j] = (
@@ -320,4 +348,4 @@ def couple_kernel(
             )
             even_out[i, j] = even_out[i, j] + wp.abs(share) * tubes.size[at]
             if loose_out.shape[0] > 0:
-                loose_out[i, j] = loose_out[i, j] + across[n] * across[n] * power
+                loose_out[i, j] = loose_out[i, j] + fade[0] * fade[0] * across[n] * across[n] * power

@@ -20,8 +20,8 @@ from warpsar.runtime.structs import allocate, fill
 from warpsar.trace.hits import BinGrid
 from warpsar.world.taper import taper
 
-_SPREAD = 6.0
-"""Largest product of the distances in range and azimuth [cells]: sinc^2 sinc^2 is below 3e-4 beyond it."""
+_FADES = 5.0, 11.5
+"""Cells between which the response fades along an axis: the first sample that may be left out is as far."""
 _WEAK = 1e-6
 """Share of a group's strongest sample, in power, below which others get nothing. Fields of the groups of a long face
 cancel: what is left out of one is left over of the next, and adds up."""
@@ -114,10 +114,11 @@ class CellSamples:
 
 
 def offsets() -> NDArray[np.int32]:
-    """The samples about one that get a share of a field between it and the next ones, (m, 2)."""
+    """The samples about one that get a share of a field between it and the next ones, or half a cell beyond, as bins
+    may lie anywhere among the samples, (m, 2)."""
     first = 1 - int(kernels.NEAR)
-    apart = np.abs(np.arange(first, int(kernels.NEAR) + 1) - 0.5)
-    return np.argwhere(np.multiply.outer(apart, apart) <= _SPREAD).astype(np.int32) + first
+    nearest = np.maximum(np.abs(np.arange(first, int(kernels.NEAR) + 1) - 0.5) - 1.0, 0.0)
+    return np.argwhere(np.multiply.outer(nearest, nearest) < float(kernels.FADED)).astype(np.int32) + first
 
 
 @cache
@@ -138,9 +139,18 @@ def response_of(name: str) -> NDArray[np.float64]:
     return np.stack([np.cos(phase) @ weight, -np.sin(phase) @ (2.0 * np.pi * part * weight)]) / scale
 
 
+def _fading(response: NDArray[np.float64]) -> NDArray[np.float64]:
+    """`response_of` that ends without a step (`kernels.faded`)."""
+    steps, (whole, none) = int(kernels.STEPS), _FADES
+    at = np.arange(response.shape[1]) / steps - int(kernels.REACH)
+    part = 0.5 * np.pi * np.clip((np.abs(at) - whole) / (none - whole), 0.0, 1.0)
+    left, slope = np.cos(part) ** 2, -0.5 * np.pi / (none - whole) * np.sin(2.0 * part) * np.sign(at)
+    return np.stack([response[0] * left, response[1] * left + response[0] * slope])
+
+
 def cells_of(grid: BinGrid, cell_m: tuple[float, float], tapers: tuple[str, str], device: wp.Device) -> Any:
     """`kernels.ResolutionCells` of a size (range, azimuth) [m] and tapers among the bins of a grid."""
-    response = np.stack([response_of(name).T for name in tapers])
+    response = np.stack([_fading(response_of(name)).T for name in tapers])
     return fill(
         kernels.ResolutionCells,
         size=wp.vec2d(*cell_m),
