@@ -349,7 +349,7 @@ def border_kernel(
 
     The parts of a strip end where the rays in it begin to meet other planes, on both of its long sides: they have the
     area and the phase of what they stand for. Rays at random places would leave to chance what fields that cancel add
-    up to.
+    up to. A strip whose sides meet other things has a corner in it, and is halved, down to `FINEST` pieces.
     """
     i, j = wp.tid()
     one = cell[i]

@@ -29,7 +29,7 @@ NEAR = wp.constant(12)
 
 WHOLE = wp.constant(1.0)
 FADED = wp.constant(4.0)
-"""Products of the distances in range and azimuth [cells], between which the response fades: samples beyond get nothing."""
+"""Products of the distances in range and azimuth [cells] between which the response fades to nothing."""
 
 along_an_axis = wp.types.vector(length=2 * int(NEAR), dtype=wp.float64)
 """Numbers of the samples about one, from `1 - NEAR` to `NEAR`."""

@@ -47,8 +47,9 @@ class Coupled:
     """Groups of tubes of a band: `records` by name (`PathRecords`), and their fields [m] by sample, complex (n, m).
 
     `moment` [m cells], complex (2, n, m): first moments of the fields about the sample, in range and azimuth. `even`
-    [m], (n, m): what the fields would be if all had one phase. `loose` [m2] (n, m): sums of squares of their tubes' fields, as if these had no phase in common. `cell`: azimuth and
-    elevation cell of each tube, (tubes, 2), those of a group together; `first`: where each begins.
+    [m], (n, m): what the fields would be if all had one phase. `loose` [m2] (n, m): sums of squares of their tubes'
+    fields, as if these had no phase in common. `cell`: azimuth and elevation cell of each tube, (tubes, 2), those of a
+    group together; `first`: where each begins.
     """
 
     records: Mapping[str, NDArray[Any]]
@@ -227,8 +228,8 @@ def samples_of(
     """Paths by sample and kinds of their faces (`kinds_of`), as arrays of `PathRecords`, and their samples.
 
     Faces of one kind answer alike, so the fields of their tubes are added up. The surface is that where the strongest
-    of them lies. `bodies`: numbers of the connected planes of faces, from 1 on. `mirrors`: about how much of a field each
-    face sends on, by number. `columns` of the bins.
+    of them lies. `bodies`: numbers of the connected planes of faces, from 1 on. `mirrors`: about how much of a field
+    each face sends on, by number. `columns` of the bins.
 
     A sample's power falls where the tubes lie from which it comes, not into the sample's own place: an isolated body
     keeps its pixel, and its power does not depend on where it lies between the samples. Two corners in one sample share
