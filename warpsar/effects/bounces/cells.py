@@ -325,7 +325,7 @@ def share(parts: Sequence[Coupled], grid: BinGrid, cell_m: tuple[float, float]) 
         place=node[:, 0] * (int(node[:, 1].max(initial=0)) + 1) + node[:, 1],
         at=np.stack(at),
         field=field[group, which],
-        moment=moment[:, group, which] * np.array(bins, np.float32)[:, None],
+        moment=(moment[:, group, which] * np.array(bins)[:, None]).astype(np.complex64),
         even=even[group, which],
         loose=loose[group, which],
         cell_bins=bins,
