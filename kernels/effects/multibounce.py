@@ -25,10 +25,20 @@ EDGE = wp.constant(1.0e-3)
 # Slope variance that even a smooth surface has: it keeps the lobe of a mirror wide enough for a mesh's facets.
 LEAST_SLOPE_VARIANCE = wp.constant(1.0e-4)
 
-HALVINGS = wp.constant(12)
-"""Of half a cell's side: a hundredth of a radian where the phase turns by ten circles in a cell."""
+STRETCHES = wp.constant(4)
+"""Of a line across a cell, in each of which what rays meet may change once."""
+HALVINGS = wp.constant(11)
+"""Of a stretch: a hundredth of a radian where the phase turns by ten circles in a cell."""
+FINEST = wp.constant(8)
+"""Parts of a strip, into which it is cut at most where a corner lies in it."""
 PRIME = wp.constant(wp.uint64(1099511628211))
 """Of the hash FNV-1a."""
+
+
+changes = wp.types.vector(length=int(STRETCHES), dtype=wp.float32)
+"""Places along a line."""
+marks = wp.types.vector(length=int(STRETCHES) + 1, dtype=wp.uint64)
+"""Of rays before, between and after the changes of a line."""
 
 
 @wp.struct
@@ -247,10 +257,8 @@ class Line:
     """A line across a cell: `count` places where what rays meet changes, from -0.5 to 0.5, and the marks of rays."""
 
     count: int
-    at: wp.vec2
-    first: wp.uint64
-    second: wp.uint64
-    third: wp.uint64
+    at: changes
+    mark: marks
 
 
 @wp.func
@@ -275,13 +283,13 @@ def mark_at(rays: PathRays, cell: wp.vec4i, along: float, across: float, records
 
 @wp.func
 def line_of(rays: PathRays, cell: wp.vec4i, across: float, records: PathRecords) -> Line:
-    """A change is found by halving, one in each of two stretches."""
+    """A change is found by halving, one in each stretch."""
     line = Line()
-    line.first = mark_at(rays, cell, -0.5, across, records)
-    mark = line.first
-    for n in range(2):
-        low = 0.5 * float(n) - 0.5
-        high = 0.5 * float(n)
+    mark = mark_at(rays, cell, -0.5, across, records)
+    line.mark[0] = mark
+    for n in range(STRETCHES):
+        low = float(n) / float(STRETCHES) - 0.5
+        high = float(n + 1) / float(STRETCHES) - 0.5
         beyond = mark_at(rays, cell, high, across, records)
         if beyond != mark:
             for _half in range(HALVINGS):
@@ -292,10 +300,7 @@ def line_of(rays: PathRays, cell: wp.vec4i, across: float, records: PathRecords)
                     high = middle
             line.at[line.count] = 0.5 * (low + high)
             line.count += 1
-            if line.count == 1:
-                line.second = beyond
-            else:
-                line.third = beyond
+            line.mark[line.count] = beyond
         mark = beyond
     return line
 
@@ -303,17 +308,32 @@ def line_of(rays: PathRays, cell: wp.vec4i, across: float, records: PathRecords)
 @wp.func
 def beside(line: Line, other: Line) -> Line:
     """The line with as many changes as the other one has, if it has none: the border leaves by an end of the strip."""
+    found = Line()
+    found.count = line.count
+    found.at = 1.0 * line.at
+    for n in range(line.count + 1):
+        found.mark[n] = line.mark[n]
     if line.count == 0 and other.count == 1:
-        if line.first == other.first:
-            line.at[0] = 0.5
-        elif line.first == other.second:
-            line.at[0] = -0.5
-        else:
-            return line
-        line.count = 1
-        line.first = other.first
-        line.second = other.second
-    return line
+        if line.mark[0] == other.mark[0]:
+            found.at[0] = 0.5
+            found.count = 1
+        elif line.mark[0] == other.mark[1]:
+            found.at[0] = -0.5
+            found.count = 1
+        if found.count == 1:
+            found.mark[0] = other.mark[0]
+            found.mark[1] = other.mark[1]
+    return found
+
+
+@wp.func
+def alike(line: Line, other: Line) -> bool:
+    """Whether rays along two lines meet the same, one after the other."""
+    same = line.count == other.count
+    for n in range(line.count + 1):
+        if line.mark[n] != other.mark[n]:
+            same = False
+    return same
 
 
 @wp.kernel(enable_backward=False)
@@ -329,44 +349,52 @@ def border_kernel(
 
     The parts of a strip end where the rays in it begin to meet other planes, on both of its long sides: they have the
     area and the phase of what they stand for. Rays at random places would leave to chance what fields that cancel add
-    up to.
+    up to. A strip whose sides meet other things has a corner in it, and is halved, down to `FINEST` pieces.
     """
     i, j = wp.tid()
     one = cell[i]
     if j >= one[3]:
         return
-    width = 1.0 / float(one[3])
-    middle = (float(j) + 0.5) * width - 0.5
-    near = line_of(rays, one, middle - 0.5 * width, records_out)
-    far = line_of(rays, one, middle + 0.5 * width, records_out)
-    near = beside(near, far)
-    far = beside(far, near)
-    same = near.count == far.count and near.first == far.first
-    if near.count > 0 and near.second != far.second:
-        same = False
-    if near.count > 1 and near.third != far.third:
-        same = False
-    if not same:
-        near = line_of(rays, one, middle, records_out)
-        far = near
-    begin = float(-0.5)
-    slant = float(0.0)
-    for n in range(near.count + 1):
-        end = float(0.5)
-        further = float(0.0)
-        if n < near.count:
-            end = 0.5 * (near.at[n] + far.at[n])
-            further = far.at[n] - near.at[n]
-        length = end - begin
-        if length > 1.0e-6:
-            place = place_in(rays, one, 0.5 * (begin + end), middle)
-            tube = wp.vec4(place[0], place[1], length, width)
-            if one[2] == 1:
-                tube = wp.vec4(place[0], place[1], width, length)
-            ends = wp.vec3(float(one[2]), slant / length, further / length)
-            follow(rays, place[0], place[1], tube, ends, True, records_out)
-            begin = end
-            slant = further
+    strip = 1.0 / float(one[3])
+    at = int(0)
+    parts = int(FINEST)  # of the strip, that the next piece has
+    side = line_of(rays, one, float(j) * strip - 0.5, records_out)
+    while at < FINEST:
+        width = strip * float(parts) / float(FINEST)
+        low = (float(j) + float(at) / float(FINEST)) * strip - 0.5
+        beyond = line_of(rays, one, low + width, records_out)
+        same = alike(side, beyond)
+        if not same and parts > 1:
+            parts = parts / 2
+        else:
+            middle = low + 0.5 * width
+            near = beside(side, beyond)
+            far = beside(beyond, side)
+            if not alike(near, far):
+                near = line_of(rays, one, middle, records_out)
+                far = near
+            begin = float(-0.5)
+            slant = float(0.0)
+            for n in range(near.count + 1):
+                end = float(0.5)
+                further = float(0.0)
+                if n < near.count:
+                    end = 0.5 * (near.at[n] + far.at[n])
+                    further = far.at[n] - near.at[n]
+                length = end - begin
+                if length > 1.0e-6:
+                    place = place_in(rays, one, 0.5 * (begin + end), middle)
+                    tube = wp.vec4(place[0], place[1], length, width)
+                    if one[2] == 1:
+                        tube = wp.vec4(place[0], place[1], width, length)
+                    ends = wp.vec3(float(one[2]), slant / length, further / length)
+                    follow(rays, place[0], place[1], tube, ends, True, records_out)
+                    begin = end
+                    slant = further
+            side = beyond
+            at += parts
+            while parts < FINEST and at % (2 * parts) == 0:
+                parts = 2 * parts
 
 
 @wp.kernel(enable_backward=False)

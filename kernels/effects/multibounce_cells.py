@@ -27,6 +27,10 @@ REACH = wp.constant(16)
 NEAR = wp.constant(12)
 """Samples on each side of a field that may get a share of it."""
 
+WHOLE = wp.constant(1.0)
+FADED = wp.constant(4.0)
+"""Products of the distances in range and azimuth [cells] between which the response fades to nothing."""
+
 along_an_axis = wp.types.vector(length=2 * int(NEAR), dtype=wp.float64)
 """Numbers of the samples about one, from `1 - NEAR` to `NEAR`."""
 
@@ -49,9 +53,13 @@ class ResolutionCells:
 
 @wp.struct
 class TubeFields:
-    """Fields of tubes, shape (n,): `place` x (range, azimuth) [cells], `field` [m] there, and its first moments [m]."""
+    """Fields of tubes, shape (n,): `place` x (range, azimuth) [cells], `field` [m] there, and its first moments [m].
+
+    `size` [m]: what the field would be if it had one phase in the whole tube.
+    """
 
     place: wp.array(dtype=wp.vec2d)
+    size: wp.array(dtype=wp.float64)
     field: wp.array(dtype=wp.vec2d)
     by_range: wp.array(dtype=wp.vec2d)
     by_azimuth: wp.array(dtype=wp.vec2d)
@@ -130,6 +138,23 @@ def read(table: wp.array2d(dtype=wp.vec2d), axis: int, distance: wp.float64) -> 
         return wp.vec2d()
     part = at - wp.float64(low)
     return (ONE - part) * table[axis, low] + part * table[axis, low + 1]
+
+
+@wp.func
+def faded(x: wp.float64, y: wp.float64) -> wp.vec3d:
+    """What is left of the response at distances x, y [cells], and its slopes along both. Where it ended with a step,
+    fields that cancel would leave a power there that no body sends."""
+    product_of = wp.abs(x * y)
+    if product_of <= wp.float64(WHOLE):
+        return wp.vec3d(ONE, ZERO, ZERO)
+    if product_of >= wp.float64(FADED):
+        return wp.vec3d()
+    width = wp.float64(FADED) - wp.float64(WHOLE)
+    part = (wp.float64(FADED) - product_of) / width
+    slope = wp.float64(-6.0) * part * (ONE - part) / width
+    return wp.vec3d(
+        part * part * (wp.float64(3.0) - TWO * part), slope * wp.sign(x) * wp.abs(y), slope * wp.sign(y) * wp.abs(x)
+    )
 
 
 @wp.kernel(enable_backward=False)
@@ -224,7 +249,11 @@ def tube_kernel(
     total = wp.float64(0.0)
     for j in range(cells.offset.shape[0]):
         offset = cells.offset[j]
-        share = near_range[offset[0] + NEAR - 1] * near_azimuth[offset[1] + NEAR - 1]
+        fade = faded(
+            place[0] - wp.float64(base[0]) - wp.float64(offset[0]),
+            place[1] - wp.float64(base[1]) - wp.float64(offset[1]),
+        )
+        share = fade[0] * near_range[offset[0] + NEAR - 1] * near_azimuth[offset[1] + NEAR - 1]
         total += share * share
     size = wavenumber / FOUR_PI * area / wp.sqrt(wp.max(total, wp.float64(1.0e-3)))
     phase = turned(-TWO * wavenumber * along)
@@ -245,6 +274,7 @@ def tube_kernel(
         by_u = by_across
         by_v = by_along
     tubes_out.place[i] = place
+    tubes_out.size[i] = size
     tubes_out.field[i] = size * product(whole, phase)
     tubes_out.by_range[i] = (-size / cells.size[0]) * product(
         wp.dot(turn, foot_u) * by_u + wp.dot(turn, foot_v) * by_v, phase
@@ -264,13 +294,17 @@ def couple_kernel(
     cells: ResolutionCells,
     # Out:
     field_out: wp.array2d(dtype=wp.vec2d),
+    by_range_out: wp.array2d(dtype=wp.vec2d),
+    by_azimuth_out: wp.array2d(dtype=wp.vec2d),
+    even_out: wp.array2d(dtype=wp.float64),
     loose_out: wp.array2d(dtype=wp.float64),
 ):
     """The field that each group of tubes adds to each of the samples about its bin, shape (groups, offsets).
 
-    A thread has a group: it reads the responses of a tube once for all samples in a row and in a column. Both arrays
-    begin with zeros. `loose_out`, (groups, offsets) or (0, 0): sums of the squares of what each tube adds [m2], as if
-    these had no phase in common.
+    A thread has a group: it reads the responses of a tube once for all samples in a row and in a column. All arrays
+    begin with zeros. `by_range_out`, `by_azimuth_out`: the field's first moments about the sample [m cells]. `even_out`
+    [m]: the sum of the sizes of what tubes add, as if all had one phase. `loose_out`, (groups, offsets) or (0, 0): sums
+    of the squares of what each tube adds [m2], as if these had no phase in common.
     """
     i = wp.tid()
     end = order.shape[0]
@@ -290,16 +324,28 @@ def couple_kernel(
         row = int(-NEAR)
         straight = wp.vec2d()
         aside = wp.vec2d()
+        along = wp.float64(0.0)
         power = wp.float64(0.0)
         for j in range(cells.offset.shape[0]):
             offset = cells.offset[j]
             if offset[0] != row:  # offsets of a row lie together
                 row = offset[0]
                 response = read(cells.response, 0, x - wp.float64(row))
-                straight = response[0] * tubes.field[at] + response[1] * tubes.by_range[at]
-                aside = response[0] * tubes.by_azimuth[at]
-                power = response[0] * response[0] * wp.length_sq(tubes.field[at])
+                along = response[0]
+                straight = along * tubes.field[at] + response[1] * tubes.by_range[at]
+                aside = along * tubes.by_azimuth[at]
+                power = along * along * wp.length_sq(tubes.field[at])
             n = offset[1] + NEAR - 1
-            field_out[i, j] = field_out[i, j] + across[n] * straight + across_slope[n] * aside
+            fade = faded(x - wp.float64(row), y - wp.float64(offset[1]))
+            share = fade[0] * along * across[n]
+            added = fade[0] * (across[n] * straight + across_slope[n] * aside) + along * across[n] * (
+                fade[1] * tubes.by_range[at] + fade[2] * tubes.by_azimuth[at]
+            )
+            field_out[i, j] = field_out[i, j] + added
+            by_range_out[i, j] = by_range_out[i, j] + (x - wp.float64(row)) * added + share * tubes.by_range[at]
+            by_azimuth_out[i, j] = (
+                by_azimuth_out[i, j] + (y - wp.float64(offset[1])) * added + share * tubes.by_azimuth[at]
+            )
+            even_out[i, j] = even_out[i, j] + wp.abs(share) * tubes.size[at]
             if loose_out.shape[0] > 0:
-                loose_out[i, j] = loose_out[i, j] + across[n] * across[n] * power
+                loose_out[i, j] = loose_out[i, j] + fade[0] * fade[0] * across[n] * across[n] * power

@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from warpsar.kernels.effects import multibounce_cells as kernels
 from warpsar.kernels.geometry import RayGrid, Triangles
@@ -18,18 +20,19 @@ from warpsar.runtime.structs import allocate, fill
 from warpsar.trace.hits import BinGrid
 from warpsar.world.taper import taper
 
-_SPREAD = 6.0
-"""Largest product of the distances in range and azimuth [cells]: sinc^2 sinc^2 is below 3e-4 beyond it."""
-_WEAK = 1e-4
-"""Share of a path's strongest sample, in power, below which others get nothing."""
+_FADES = 5.0, 11.5
+"""Cells between which the response fades along an axis: the first sample that may be left out is as far."""
+_WEAK = 1e-6
+"""Share of a group's strongest sample, in power, below which others get nothing. Fields of the groups of a long face
+cancel: what is left out of one is left over of the next, and adds up."""
 _WEAKEST = 1e-8
 """The same, of the view's strongest."""
 _LEAST_FALL = 0.02
 """Share of a sample's power below which a bin gets less, and nothing below half of it."""
-_ONE_PHASE = 1.5
-"""Power of an even field without a taper, over what as many bins as have its power would add up to: 2/3 in truth."""
-_ROUNDING = 1e-3
-"""Of a bin: power so near to the middle of one falls into it alone, whatever rounding says."""
+_ONE_PHASE = 3.0
+"""A long even field has a third of the power that it would have if the response had no negative lobes, about."""
+_ABOUT = 0.25
+"""Of a cell: power that falls about one place is spread over so much."""
 
 _BRIGHT = 1e-3
 """Power of a sample, over that of the brightest, from which on its accuracy counts."""
@@ -43,12 +46,16 @@ _EDGE = 0.03
 class Coupled:
     """Groups of tubes of a band: `records` by name (`PathRecords`), and their fields [m] by sample, complex (n, m).
 
-    `loose` [m2] (n, m): sums of squares of their tubes' fields, as if these had no phase in common. `cell`: azimuth and
-    elevation cell of each tube, (tubes, 2), those of a group together; `first`: where each begins.
+    `moment` [m cells], complex (2, n, m): first moments of the fields about the sample, in range and azimuth. `even`
+    [m], (n, m): what the fields would be if all had one phase. `loose` [m2] (n, m): sums of squares of their tubes'
+    fields, as if these had no phase in common. `cell`: azimuth and elevation cell of each tube, (tubes, 2), those of a
+    group together; `first`: where each begins.
     """
 
     records: Mapping[str, NDArray[Any]]
     field: NDArray[np.complex64]
+    moment: NDArray[np.complex64]
+    even: NDArray[np.float32]
     loose: NDArray[np.float32]
     cell: NDArray[np.int64]
     first: NDArray[np.int64]
@@ -62,7 +69,8 @@ class Coupled:
         """The groups from number `a` to the one before `b`."""
         low, high = np.append(self.first, len(self.cell))[[a, b]]
         own = {name: array[a:b] for name, array in self.records.items()}
-        return Coupled(own, self.field[a:b], self.loose[a:b], self.cell[low:high], self.first[a:b] - low)
+        parts = self.field[a:b], self.moment[:, a:b], self.even[a:b], self.loose[a:b]
+        return Coupled(own, *parts, self.cell[low:high], self.first[a:b] - low)
 
 
 @dataclass(frozen=True)
@@ -70,8 +78,9 @@ class SharedFields:
     """Groups of all bands, those of one bin and the same faces as one: how many bands there were does not matter.
 
     `records` as in `Coupled`; `tubes`, how many each has. `cell`, of each tube of the bands, and `owner`, its group.
-    Some samples get a share of a group's field: `group`, `place`, the sample as a number, `field` [m] and `loose` [m2]
-    (as in `Coupled`), (shares,).
+    Some samples get a share of a group's field: `group`, `place`, the sample as a number, `field` [m], `even` [m] and
+    `loose` [m2] (as in `Coupled`), (shares,). `at`, (2, shares): where the sample lies (range, azimuth), in bins from
+    the first one's outer corner, and `moment` [m bins] about it. `cell_bins`: bins of a cell (range, azimuth).
     """
 
     records: dict[str, NDArray[Any]]
@@ -80,8 +89,12 @@ class SharedFields:
     owner: NDArray[np.int64]
     group: NDArray[np.int64]
     place: NDArray[np.int64]
+    at: NDArray[np.float64]
     field: NDArray[np.complex64]
+    moment: NDArray[np.complex64]
+    even: NDArray[np.float32]
     loose: NDArray[np.float32]
+    cell_bins: tuple[float, float]
 
 
 @dataclass
@@ -102,10 +115,11 @@ class CellSamples:
 
 
 def offsets() -> NDArray[np.int32]:
-    """The samples about one that get a share of a field between it and the next ones, (m, 2)."""
+    """The samples about one that get a share of a field between it and the next ones, or half a cell beyond, as bins
+    may lie anywhere among the samples, (m, 2)."""
     first = 1 - int(kernels.NEAR)
-    apart = np.abs(np.arange(first, int(kernels.NEAR) + 1) - 0.5)
-    return np.argwhere(np.multiply.outer(apart, apart) <= _SPREAD).astype(np.int32) + first
+    nearest = np.maximum(np.abs(np.arange(first, int(kernels.NEAR) + 1) - 0.5) - 1.0, 0.0)
+    return np.argwhere(np.multiply.outer(nearest, nearest) < float(kernels.FADED)).astype(np.int32) + first
 
 
 @cache
@@ -126,9 +140,18 @@ def response_of(name: str) -> NDArray[np.float64]:
     return np.stack([np.cos(phase) @ weight, -np.sin(phase) @ (2.0 * np.pi * part * weight)]) / scale
 
 
+def _fading(response: NDArray[np.float64]) -> NDArray[np.float64]:
+    """`response_of` that ends without a step (`kernels.faded`)."""
+    steps, (whole, none) = int(kernels.STEPS), _FADES
+    at = np.arange(response.shape[1]) / steps - int(kernels.REACH)
+    part = 0.5 * np.pi * np.clip((np.abs(at) - whole) / (none - whole), 0.0, 1.0)
+    left, slope = np.cos(part) ** 2, -0.5 * np.pi / (none - whole) * np.sin(2.0 * part) * np.sign(at)
+    return np.stack([response[0] * left, response[1] * left + response[0] * slope])
+
+
 def cells_of(grid: BinGrid, cell_m: tuple[float, float], tapers: tuple[str, str], device: wp.Device) -> Any:
     """`kernels.ResolutionCells` of a size (range, azimuth) [m] and tapers among the bins of a grid."""
-    response = np.stack([response_of(name).T for name in tapers])
+    response = np.stack([_fading(response_of(name)).T for name in tapers])
     return fill(
         kernels.ResolutionCells,
         size=wp.vec2d(*cell_m),
@@ -150,10 +173,9 @@ def couple(
     cells: Any,
     wavenumber: float,
     loosely: bool,
-) -> tuple[NDArray[np.complex64], NDArray[np.float32]]:
-    """`field` and `loose` of `Coupled`, by group and sample: groups are those of `order` from each `first` on.
-
-    `loose` is 0 if it is not asked for.
+) -> dict[str, NDArray[Any]]:
+    """`field`, `moment`, `even` and `loose` of `Coupled`, by group and sample: groups are those of `order` from each
+    `first` on. `loose` is 0 if it is not asked for.
     """
     device, count = order.device, order.shape[0]
     tubes = allocate(kernels.TubeFields, count, device)
@@ -161,12 +183,18 @@ def couple(
         kernels.tube_kernel, count, inputs=[rays, mesh, records, cells, wavenumber], outputs=[tubes], device=device
     )
     shape = first.shape[0], cells.offset.shape[0]
-    field: wp.array = wp.zeros(shape, dtype=wp.vec2d, device=device)
+    fields: list[wp.array] = [wp.zeros(shape, dtype=wp.vec2d, device=device) for _ in range(3)]
+    even: wp.array = wp.zeros(shape, dtype=wp.float64, device=device)
     loose: wp.array = wp.zeros(shape if loosely else (0, 0), dtype=wp.float64, device=device)
     inputs = [tubes, order, first, merged.bin, cells]
-    wp.launch(kernels.couple_kernel, shape[0], inputs=inputs, outputs=[field, loose], device=device)
-    squares = loose.numpy().astype(np.float32) if loosely else np.zeros(shape, np.float32)
-    return field.numpy().astype(np.float32).view(np.complex64)[..., 0], squares
+    wp.launch(kernels.couple_kernel, shape[0], inputs=inputs, outputs=[*fields, even, loose], device=device)
+    field, *moment = (one.numpy().astype(np.float32).view(np.complex64)[..., 0] for one in fields)
+    return {
+        "field": field,
+        "moment": np.stack(moment),
+        "even": even.numpy().astype(np.float32),
+        "loose": loose.numpy().astype(np.float32) if loosely else np.zeros(shape, np.float32),
+    }
 
 
 def kinds_of(normal: NDArray[np.float64], other: NDArray[Any]) -> NDArray[np.int64]:
@@ -175,9 +203,23 @@ def kinds_of(normal: NDArray[np.float64], other: NDArray[Any]) -> NDArray[np.int
     return np.unique(key, axis=0, return_inverse=True)[1].reshape(-1) + 1
 
 
+def bodies_of(corners: NDArray[np.int64], planes: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Numbers of faces, from 1 on, that are alike for faces of one plane, by number, that touch.
+
+    `corners`: numbers of the places of each face's corners, (n, 3).
+    """
+    n = len(corners)
+    _, node = np.unique(np.column_stack([np.repeat(planes, 3), corners.reshape(-1)]), axis=0, return_inverse=True)
+    node = node.reshape(-1)
+    links = coo_array((np.ones(3 * n, bool), (np.repeat(np.arange(n), 3), n + node)), shape=(n + 3 * n,) * 2)
+    label = connected_components(links, directed=False)[1][:n]
+    return np.asarray(np.unique(label, return_inverse=True)[1].reshape(-1) + 1, np.int64)
+
+
 def samples_of(
     fields: SharedFields,
     kinds: NDArray[np.int64],
+    bodies: NDArray[np.int64],
     mirrors: NDArray[np.float64],
     columns: int,
     pixel_area_m2: float,
@@ -186,19 +228,20 @@ def samples_of(
     """Paths by sample and kinds of their faces (`kinds_of`), as arrays of `PathRecords`, and their samples.
 
     Faces of one kind answer alike, so the fields of their tubes are added up. The surface is that where the strongest
-    of them lies. `mirrors`: about how much of a field each face sends on, by number. `columns` of the bins.
+    of them lies. `bodies`: numbers of the connected planes of faces, from 1 on. `mirrors`: about how much of a field
+    each face sends on, by number. `columns` of the bins.
 
     A sample's power falls where the tubes lie from which it comes, not into the sample's own place: an isolated body
     keeps its pixel, and its power does not depend on where it lies between the samples. Two corners in one sample share
-    its power as their `mirrors` say: one of metal and one of soil do not have half of it each.
+    its power as their `mirrors` say: one of metal and one of soil do not have half of it each. None of it falls between
+    two bodies.
     """
     records, group, place, field = fields.records, fields.group, fields.place, fields.field
-    sent = field * np.append(1.0, mirrors)[records["faces"]].prod(axis=1)[group]
+    mirrored = np.append(1.0, mirrors)[records["faces"]].prod(axis=1)[group]
+    sent = field * mirrored
     power = np.abs(sent) ** 2
     bins = records["bin"][group]
-    _, met = np.unique(np.append(0, kinds)[records["faces"]], axis=0, return_inverse=True)
-    ways = int(met.max(initial=0)) + 1
-    keys, path = np.unique(place * ways + met.reshape(-1)[group], return_inverse=True)
+    keys, path, ways = _by_sample(place, kinds, records["faces"], group)
     n = keys.size
     total = np.bincount(path, power, n)
 
@@ -217,7 +260,8 @@ def samples_of(
         "ray": np.zeros((n, 4), np.float32),
         "ends": np.zeros((n, 3), np.float32),
     }
-    owner, bin_, share = _falls(sample[path], path, bins, columns, sent)
+    met = _by_sample(place, bodies, records["faces"], group)[1]
+    owner, bin_, share = _falls(fields, sample[path], met, bins, columns, mirrored)
     count = np.diff(first)[owner]
     entry = np.repeat(first[owner] - np.append(0, np.cumsum(count)[:-1]), count) + np.arange(count.sum())
     bin_, share = np.repeat(bin_, count), np.repeat(share, count) * 4.0 * np.pi / pixel_area_m2
@@ -237,6 +281,17 @@ def samples_of(
     )
 
 
+def _by_sample(
+    place: NDArray[np.int64], numbers: NDArray[np.int64], faces: NDArray[np.int32], group: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
+    """Shares of fields by sample and by the `numbers` of the faces that their groups meet: keys in order, each share's,
+    and what a key is to be divided by for its sample."""
+    _, met = np.unique(np.append(0, numbers)[faces], axis=0, return_inverse=True)
+    ways = int(met.max(initial=0)) + 1
+    keys, which = np.unique(place * ways + met.reshape(-1)[group], return_inverse=True)
+    return keys, which, ways
+
+
 def share(parts: Sequence[Coupled], grid: BinGrid, cell_m: tuple[float, float]) -> SharedFields:
     """Join the groups of bands, and give their fields to samples."""
     records = {name: np.concatenate([part.records[name] for part in parts]) for name in parts[0].records}
@@ -253,17 +308,35 @@ def share(parts: Sequence[Coupled], grid: BinGrid, cell_m: tuple[float, float]) 
     total = added(tubes)
     point = added(records["point"] * tubes[:, None]) / total[:, None]
     one = {name: array[first] for name, array in records.items()} | {"point": point.astype(np.float32)}
-    field, loose = (added(np.concatenate([getattr(part, name) for part in parts])) for name in ("field", "loose"))
-    group, which, place = _shares(one["bin"], field, grid, cell_m)
-    cell = np.concatenate([part.cell for part in parts])
-    owner = np.repeat(number, tubes)
-    return SharedFields(one, total, cell, owner, group, place, field[group, which], loose[group, which])
+    field, even, loose = (
+        added(np.concatenate([getattr(part, name) for part in parts])) for name in ("field", "even", "loose")
+    )
+    moment = np.stack([added(np.concatenate([part.moment[axis] for part in parts])) for axis in (0, 1)])
+    group, which, node = _shares(one["bin"], field, grid, cell_m)
+    bins = cell_m[0] / grid.spacing_m[0], cell_m[1] / grid.spacing_m[1]
+    at = [node[:, k] * bins[k] - grid.start_m[k] / grid.spacing_m[k] for k in (0, 1)]
+    node = node - (node.min(axis=0) if len(node) else 0)
+    return SharedFields(
+        records=one,
+        tubes=total,
+        cell=np.concatenate([part.cell for part in parts]),
+        owner=np.repeat(number, tubes),
+        group=group,
+        place=node[:, 0] * (int(node[:, 1].max(initial=0)) + 1) + node[:, 1],
+        at=np.stack(at),
+        field=field[group, which],
+        moment=(moment[:, group, which] * np.array(bins)[:, None]).astype(np.complex64),
+        even=even[group, which],
+        loose=loose[group, which],
+        cell_bins=bins,
+    )
 
 
 def _shares(
     bins: NDArray[np.int32], field: NDArray[np.complex64], grid: BinGrid, cell_m: tuple[float, float]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Groups of tubes, offsets of the samples with a share of them, and these as numbers; weak ones are left out."""
+    """Groups of tubes, offsets of the samples with a share of them, and these samples (range, azimuth) [cells], (n, 2);
+    weak ones are left out."""
     power = field.real**2 + field.imag**2
     strongest = power.max(axis=1, keepdims=True)
     group, which = np.nonzero((power > _WEAK * strongest) & (power > _WEAKEST * power.max(initial=0.0)))
@@ -273,9 +346,7 @@ def _shares(
             np.divmod(bins, grid.shape[1]), grid.start_m, grid.spacing_m, cell_m, strict=True
         )
     ]
-    node = np.stack(places, axis=1)[group] + offsets()[which]
-    node -= node.min(axis=0) if len(node) else 0
-    return group, which, node[:, 0] * (int(node[:, 1].max(initial=0)) + 1) + node[:, 1]
+    return group, which, np.stack(places, axis=1)[group] + offsets()[which]
 
 
 @dataclass(frozen=True)
@@ -347,45 +418,58 @@ def errors_of(fields: SharedFields) -> tuple[NDArray[np.float64], NDArray[np.boo
 
 
 def _falls(
-    sample: NDArray[Any], path: NDArray[Any], bins: NDArray[Any], columns: int, field: NDArray[np.complex128]
+    fields: SharedFields,
+    sample: NDArray[Any],
+    path: NDArray[Any],
+    bins: NDArray[Any],
+    columns: int,
+    mirrored: NDArray[np.float64],
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
     """Into which bins the power of each sample falls: samples in order, bins, and shares whose sum is 1 by sample.
 
-    `sample` and `path` of each field, both from 0 on; `columns` of the bins. The paths of a sample share its power by
-    that of their own fields, all their groups together: how the tubes were grouped, by bands of rays and by the
-    triangles of a face, does not matter. Where the fields of a path have one phase, its bins share by their power.
+    `sample` and `path` of each share of a field, both from 0 on, paths being those over other bodies; `columns` of the
+    bins; `mirrored`: how much of a field its faces send on. The paths of a sample share its power by that of their own
+    fields, all their groups together: how the tubes were grouped, by bands of rays, by the triangles of a face and by
+    the size of the bins, does not matter.
+    Where the fields of a path have one phase, its bins share by the power of a tube that is as large in all of them.
     Where they cancel, little is left, and it comes from the ends: its mean place is that which the sum of the fields
     has, Re(SUM x f F*) / |F|^2, whose mean over samples is that of the image of |field|^2 by Parseval. A part of the
-    power then falls about one place, into the bins beside it, so that the mean is so.
+    power then falls about one place, so that the mean is so.
     """
-    across = int(bins.max(initial=0)) + columns + 2  # and the next row and column, which get nothing
+    sent, even = fields.field * mirrored, fields.even.astype(float)
+    across = int(bins.max(initial=0)) + columns + 2
     of_path = np.zeros(int(path.max(initial=-1)) + 1, np.int64)
     of_path[path] = sample
     keys, inverse = np.unique(path * across + bins, return_inverse=True)
     owner, bin_ = np.divmod(keys, across)  # of a path
     head = np.searchsorted(owner, np.arange(of_path.size))
-    part = np.bincount(inverse, field.real) + 1j * np.bincount(inverse, field.imag)
-    squares, whole = np.abs(part) ** 2, np.add.reduceat(part, head)
-    total = np.add.reduceat(squares, head)
-    power = np.maximum(np.abs(whole) ** 2, 1e-12 * total)
-    share, own = squares / total[owner], np.real(part * whole.conj()[owner]) / power[owner]
-    one_phase = np.minimum(_ONE_PHASE * power / total * np.add.reduceat(share**2, head), 1.0)
+    part = _sums(inverse, sent, keys.size)
+    whole = np.add.reduceat(part, head)
+    in_phase = np.bincount(path, even * mirrored, of_path.size)
+    power = np.maximum(np.abs(whole) ** 2, np.maximum(1e-12 * in_phase**2, np.finfo(float).tiny))
+    one_phase = np.minimum(_ONE_PHASE * power / np.maximum(in_phase, np.finfo(float).tiny) ** 2, 1.0)
+    share = np.abs(part) ** 2 / np.maximum(np.bincount(inverse, even, keys.size), np.finfo(float).tiny)
+    share = share / np.maximum(np.add.reduceat(share, head), np.finfo(float).tiny)[owner]
     rest = 1.0 - one_phase
-    even = share * (one_phase * power)[owner]
-    ends = [(of_path * across, rest * power)]
-    for at, stride in zip(np.divmod(bin_, columns), (columns, 1), strict=True):
-        of_parts, of_sum = (np.add.reduceat(weight * at, head) for weight in (share, own))
-        wanted = (of_sum - one_phase * of_parts) / np.where(rest > 0.0, rest, 1.0)
-        place = np.clip(wanted, np.minimum.reduceat(at, head), np.maximum.reduceat(at, head))
-        low = np.floor(place + _ROUNDING)
-        beyond = np.maximum(place - low, 0.0)
+    lines = [(of_path[owner] * across + bin_, share * (one_phase * power)[owner])]
+    ends = [(np.arange(of_path.size), np.zeros(of_path.size, np.int64), rest * power)]
+    for k, (cells, stride) in enumerate(zip(np.divmod(bin_, columns), (columns, 1), strict=True)):
+        moment = _sums(path, fields.moment[k] * mirrored, of_path.size)
+        at = np.zeros(of_path.size)
+        at[path] = fields.at[k]  # one for all that is in a sample
+        wanted = at + np.real(moment * whole.conj()) / power
+        wanted = wanted - one_phase * np.add.reduceat(share * (cells + 0.5), head)
+        low, high = np.minimum.reduceat(cells, head), np.maximum.reduceat(cells, head) + 1.0
+        middle = np.clip(wanted / np.where(rest > 0.0, rest, 1.0), low, high)
+        half = np.minimum(0.5 * _ABOUT * fields.cell_bins[k], np.minimum(middle - low, high - middle))
+        spread = _spread(middle, half, low, high - 1.0)
         ends = [
-            (key + stride * (low + step).astype(np.int64), of_it * each)
-            for key, of_it in ends
-            for step, each in ((0, 1.0 - beyond), (1, beyond))
+            (each, key + stride * bin_of[each], of_it * part_of[each])
+            for each, key, of_it in ends
+            for bin_of, part_of in spread
         ]
-    keys = np.concatenate([of_path[owner] * across + bin_, *(key for key, _ in ends)])
-    falls = np.concatenate([even, *(of_it for _, of_it in ends)])
+    lines += [(of_path[each] * across + key, of_it) for each, key, of_it in ends]
+    keys, falls = (np.concatenate(both) for both in zip(*lines, strict=True))
     keys, inverse = np.unique(keys[falls > 0.0], return_inverse=True)
     share = np.bincount(inverse, falls[falls > 0.0]).astype(float)
     owner, bin_ = np.divmod(keys, across)
@@ -395,3 +479,24 @@ def _falls(
     share = share * np.clip(2.0 * share / least[owner] - 1.0, 0.0, 1.0)  # small ones go, without a step
     owner, bin_, share = owner[share > 0.0], bin_[share > 0.0], share[share > 0.0]
     return owner, bin_, share / np.bincount(owner, share, count)[owner]
+
+
+def _sums(index: NDArray[Any], values: NDArray[Any], count: int) -> NDArray[np.complex128]:
+    """Sums of complex values by their index."""
+    return np.bincount(index, values.real, count) + 1j * np.bincount(index, values.imag, count)
+
+
+def _spread(
+    middle: NDArray[np.float64], half: NDArray[np.float64], lowest: NDArray[Any], highest: NDArray[Any]
+) -> list[tuple[NDArray[np.int64], NDArray[np.float64]]]:
+    """Bins from `lowest` to `highest`, and what falls into each of an even spread of 1 by `half` to both sides of a
+    `middle`."""
+    begin, end = middle - half, middle + half
+    first = np.clip(np.floor(begin), lowest, highest)
+    found = []
+    for step in range(int(np.ceil(2.0 * half.max(initial=0.0))) + 1):
+        bin_ = np.minimum(first + step, highest)
+        over = np.minimum(end, first + step + 1.0) - np.maximum(begin, first + step)
+        part = np.where(half > 0.0, over / np.where(half > 0.0, 2.0 * half, 1.0), 1.0 - min(step, 1))
+        found.append((bin_.astype(np.int64), np.maximum(part, 0.0)))
+    return found

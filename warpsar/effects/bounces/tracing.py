@@ -20,6 +20,7 @@ from warpsar.effects.bounces.cells import (
     CellSamples,
     Coupled,
     SharedFields,
+    bodies_of,
     borders_of,
     cells_of,
     couple,
@@ -110,18 +111,20 @@ def trace_paths(render: Recorder, max_bounces: int, cell_m: tuple[float, float] 
     )
     found = [None if paths is None else BouncesOfOneNumber(paths) for paths in followed.paths]
     if cell_m is not None:
-        hits, device = render.hits, render.stage.target.device
+        hits, target = render.hits, render.stage.target
+        device = target.device
         area = render.spacing_m[0] * render.spacing_m[1]
-        kinds, mirrors = _kinds(render)[0], _mirrors(render)
+        (kinds, planes), mirrors = _kinds(render), _mirrors(render)
+        bodies = bodies_of(target.corner_numbers, planes)
         for traced, fields in zip(found, followed.shared, strict=True):
             if traced is not None and fields is not None:
-                made, samples = samples_of(fields, kinds, mirrors, hits.grid.shape[1], area, device)
+                made, samples = samples_of(fields, kinds, bodies, mirrors, hits.grid.shape[1], area, device)
                 own: dict[str, Any] = {
                     name: wp.array(made[name], dtype=dtype, device=device) for name, dtype in _ARRAYS.items()
                 }
                 paths = fill(kernels.PathRecords, **own)
                 bounces = len(traced.paths.bounces)
-                traced.coherent = CoherentPaths(_paths(paths, bounces, followed.rays, render.stage.target), samples)
+                traced.coherent = CoherentPaths(_paths(paths, bounces, followed.rays, target), samples)
     return TracedPaths(found, list(followed.remarks), followed.without_cells)
 
 
@@ -422,12 +425,12 @@ def _coupled(
     if cells is None:
         return None
     mesh, wavenumber = render.stage.target.triangles, render.hits.geometry.wavenumber
-    field, loose = couple(rays, mesh, records, order, first, merged, cells, wavenumber, loosely)
+    fields = couple(rays, mesh, records, order, first, merged, cells, wavenumber, loosely)
     middle = records.ray.numpy()[order.numpy()][:, :2].astype(float)
     start, step = (rays.azimuth_start, rays.elevation_start), (rays.azimuth_step, rays.elevation_step)
     cell = np.floor((middle - start) / step).astype(np.int64)
     own = {name: getattr(merged, name).numpy() for name in _ARRAYS}
-    return Coupled(own, field, loose, cell, first.numpy().astype(np.int64))
+    return Coupled(own, **fields, cell=cell, first=first.numpy().astype(np.int64))
 
 
 def _merge(records: kernels.PathRecords, count: int, max_bounces: int, couples: Any) -> list[_Merged | None]:
