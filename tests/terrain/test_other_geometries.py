@@ -1,7 +1,7 @@
 """Places of the layers on orbits, looks and grounds unlike Rome's, against a geocoder written here.
 
-The orbit is a circle in space over a turning earth, in closed form. PROJ makes places earth-centred, and zero Doppler is
-the root of the distance's slope, bracketed. Nothing of the project's geometry is in it.
+The orbit is a circle in space over a turning earth, in closed form. PROJ makes places earth-centred, and zero Doppler
+is the root of the distance's slope, bracketed. Nothing of the project's geometry is in it.
 """
 
 from __future__ import annotations
@@ -97,9 +97,7 @@ def product_of(one: Pass) -> tuple[Product, F64, float]:
     at, node = one.aimed()
     time, distance = approach(one, node, at[1], at[0], at[2])
     times = np.arange(-70.0, 71.0, 10.0)
-    orbit = Orbit.of(
-        "made", times, [one.place(t, node) for t in times], [one.velocity(t, node) for t in times]
-    )
+    orbit = Orbit.of("made", times, [one.place(t, node) for t in times], [one.velocity(t, node) for t in times])
     grid = LineGrid(LINES, PIXELS, time - 0.5 * LINES * LINE_S, LINE_S, distance - 0.5 * PIXELS * STEP_M, STEP_M)
     made = Product(
         "made", "made", np.datetime64("2024-03-05T12:00:00", "us"), "VV", 5.405e9, one.side, grid, orbit, None,

@@ -97,7 +97,6 @@ def _write_zarr(path: Path, data: xarray.Dataset) -> None:
 def image_dataset(found: SimulatedProduct) -> xarray.Dataset:
     """Layers on the product's grid, along `line` and `pixel`; longitude and latitude are coordinates."""
     EXTRAS["netcdf"].require("image_dataset:")
-    import xarray
 
     variables = {name: _variable(("line", "pixel"), values, of_image(name)) for name, values in found.image.items()}
     if "cover" in variables:
@@ -115,7 +114,6 @@ def image_dataset(found: SimulatedProduct) -> xarray.Dataset:
 def map_dataset(found: SimulatedProduct) -> xarray.Dataset:
     """Layers on the map, along `y` and `x`, with a grid mapping `spatial_ref` as CF and rioxarray know it."""
     EXTRAS["netcdf"].require("map_dataset:")
-    import xarray
 
     place = found.map_place
     rows, columns = next(iter(found.map.values())).shape

@@ -104,7 +104,7 @@ def geodetic_to_ecef(geodetic: np.ndarray) -> np.ndarray:
 
 
 def same_turn(longitude_deg: np.ndarray, about_deg: float) -> np.ndarray:
-    """The same longitudes (...) [deg], from 180 west to 180 east of another: no step where the date line lies between."""
+    """The same longitudes (...) [deg], from 180 west to 180 east of another: the date line makes no step there."""
     return about_deg + np.mod(np.asarray(longitude_deg, np.float64) - about_deg + 180.0, 360.0) - 180.0
 
 
