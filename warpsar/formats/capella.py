@@ -50,7 +50,7 @@ def is_one(path: Path, head: bytes) -> bool:
             return _described(path) is not None
         except InputError:
             return False
-    return head.lstrip()[:1] == b"{" and path.suffix.lower() == ".json" and b'"collect"' in _begin(path)
+    return head.lstrip()[:1] == b"{" and b'"collect"' in _begin(path)
 
 
 def _begin(path: Path) -> bytes:
@@ -152,7 +152,7 @@ def products(path: Path, polarization: str | None) -> tuple[Product, ...]:
     Raises InputError for images that are not in the slant plane at zero Doppler: PFA, GEC and GEO.
     """
     image: Path | None = path
-    if path.suffix.lower() == ".json":
+    if _begin(path).lstrip()[:1] == b"{":
         stem = path.with_suffix("").name.removesuffix("_extended")
         image = next((one for s in (".tif", ".tiff") if (one := path.with_name(stem + s)).is_file()), None)
         text: str | None = _text(path)
@@ -287,6 +287,5 @@ FORMAT = Format(
     read,
     detect=is_one,
     products=products,
-    suffixes=(".tif", ".tiff", ".json"),
     extra=Extra("geo", ("rasterio",)),
 )
