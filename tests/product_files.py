@@ -1,4 +1,4 @@
-"""Radar products with a satellite's orbit, made for tests: Sentinel-1 SAFE, GAMMA, NISAR.
+"""Radar products with a satellite's orbit, made for tests: Sentinel-1 SAFE, GAMMA, NISAR, Capella.
 
 The orbit is a circle in space over a turning earth, in closed form, and zero Doppler is found here by minimizing the
 distance, so that nothing of the project's geometry is checked against itself.
@@ -6,8 +6,10 @@ distance, so that nothing of the project's geometry is checked against itself.
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from measured_files import C
@@ -264,4 +266,69 @@ def write_gamma(folder: Path, power: F64, band: Band | None = None, *, orbit: bo
             for name, of, unit in (("position", place, "m"), ("velocity", velocity, "m/s")):
                 lines.append(f"state_vector_{name}_{i}: " + " ".join(f"{v:.9f}" for v in of(t)) + f" {unit}" * 3)
     path.with_name(path.name + ".par").write_text("\n".join(lines) + "\n")
+    return path
+
+
+CAPELLA_SCALE, CAPELLA_NESZ_DB = 0.02, -20.0
+CAPELLA_BAND = Band(lines=48, pixels=96, centre=(23.25, 47.75), step_m=1.25, frequency_hz=9.65e9)
+
+
+def capella_metadata(**geometry: Any) -> dict[str, Any]:
+    """By the fields of Capella's format specification, for the orbit in closed form."""
+    start, near = CAPELLA_BAND.start()
+    vectors = [
+        {"time": utc(t) + "000Z", "position": place(t).tolist(), "velocity": velocity(t).tolist()} for t in STATE_TIMES
+    ]
+    zero = {"degree": [0, 0], "coefficients": [[0.0]]}
+    return {
+        "software_version": "2.60.0",
+        "product_type": "SLC",
+        "collect": {
+            "platform": "capella-14",
+            "mode": "stripmap",
+            "image": {
+                "data_type": "CInt16",
+                "rows": CAPELLA_BAND.lines,
+                "columns": CAPELLA_BAND.pixels,
+                "scale_factor": CAPELLA_SCALE,
+                "radiometry": "beta_nought",
+                "processed_azimuth_bandwidth": 4000.0,
+                "nesz_polynomial": {"degree": 0, "coefficients": [CAPELLA_NESZ_DB]},
+                "center_pixel": {"target_position": earth_fixed(SITE).tolist()},
+                "image_geometry": {
+                    "type": "slant_plane",
+                    "doppler_centroid_polynomial": zero,
+                    "first_line_time": utc(start) + "000Z",
+                    "delta_line_time": CAPELLA_BAND.line_s,
+                    "range_to_first_sample": near,
+                    "delta_range_sample": CAPELLA_BAND.step_m,
+                    **geometry,
+                },
+            },
+            "radar": {
+                "center_frequency": CAPELLA_BAND.frequency_hz,
+                "pointing": "right",
+                "transmit_polarization": "H",
+                "receive_polarization": "H",
+            },
+            "state": {"coordinate_system": {"type": "ecef"}, "state_vectors": vectors},
+        },
+    }
+
+
+def write_capella(
+    folder: Path, image: NDArray[np.complex64], said: dict[str, Any] | None = None, *, inside: bool = True
+) -> Path:
+    """A GeoTIFF, with the metadata in its description or in the JSON beside it."""
+    import rasterio
+
+    said = said or capella_metadata()
+    path = folder / "CAPELLA_C14_SM_SLC_HH.tif"
+    rows, columns = image.shape
+    with rasterio.open(path, "w", driver="GTiff", width=columns, height=rows, count=1, dtype="complex64") as file:
+        file.write(image, 1)
+        if inside:
+            file.update_tags(TIFFTAG_IMAGEDESCRIPTION=json.dumps(said))
+    if not inside:
+        path.with_name(f"{path.stem}_extended.json").write_text(json.dumps(said))
     return path

@@ -122,6 +122,12 @@ def gamma(folder: Path) -> Path:
     return path.with_name(f"{path.name}.par")
 
 
+def capella(folder: Path) -> Path:
+    from product_files import write_capella
+
+    return write_capella(folder, np.ones((48, 96), np.complex64))
+
+
 MADE: dict[str, Callable[[Path], Path]] = {
     "gotcha": matlab,
     "cphd": cphd,
@@ -135,6 +141,7 @@ MADE: dict[str, Callable[[Path], Path]] = {
     "jpeg": jpeg,
     "sentinel1": sentinel1,
     "gamma": gamma,
+    "capella": capella,
 }
 PICTURES = tuple(name for name in MADE if "quantity" in registry.get(name).asks)
 

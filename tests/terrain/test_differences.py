@@ -150,3 +150,24 @@ def test_fields_that_differ_by_nature_have_no_name_and_intervals_hold(simulated:
         low, high = (mine[0].low, mine[0].high) if mine else (-abs(db), abs(db))
         held += low <= db <= high
     assert held >= 34  # 38 are meant; 33 or fewer come by chance in 1 of 100
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("seed", range(1, 4))
+def test_a_lake_is_named_in_other_worlds_and_noise_is_not(tmp_path: Path, seed: int) -> None:
+    """The lake fills few squares of the checkerboard; noise that runs off to nothing fits it a little, too."""
+    from scipy.ndimage import gaussian_filter
+
+    rough = gaussian_filter(np.random.default_rng(100 + seed).standard_normal((161, 161)), 2.0)
+    heights, classes = 250.0 + 15.0 * rough / rough.std(), np.full((401, 401), 10, np.uint8)
+    for top in range(0, 401, 80):
+        for left in range(40 * (top // 80 % 2), 401, 80):
+            classes[top : top + 80, left : left + 40] = 40
+    lake = classes.copy()
+    lake[160:240, 200:240] = 80
+    declared = twin(tmp_path, heights, classes, "declared")
+    answer = asked(declared, whole(twin(tmp_path, heights, lake, "lake")), seed)
+    (one,) = answer.found
+    assert one.named
+    assert one.name.endswith("of grass")
+    assert "water_calm" in one.words

@@ -94,3 +94,18 @@ def test_a_bad_raster_is_refused(tmp_path: Path) -> None:
     refused(
         np.full((9, 9), 10, np.uint8), "--landcover-table: found 'worldcove'.*worldcover", landcover_table="worldcove"
     )
+
+
+def test_a_raster_of_elsewhere_is_refused(tmp_path: Path) -> None:
+    """Its classes would say nothing, and the report would name a land cover that is not there."""
+    import rasterio
+    from rasterio.transform import from_origin
+
+    path = tmp_path / "elsewhere.tif"
+    with rasterio.open(
+        path, "w", driver="GTiff", width=9, height=9, count=1, dtype="uint8", crs="EPSG:4326",
+        transform=from_origin(100.0, 10.0, 0.001, 0.001),
+    ) as file:  # fmt: skip
+        file.write(np.full((9, 9), 10, np.uint8), 1)
+    with pytest.raises(InputError, match=r"elsewhere.tif: it holds no place of .*dem.tif; must overlap"):
+        warpsar.twin(product(tmp_path), dem(tmp_path, flat(9)), landcover=path, geoid_offset_m=0.0, device="cpu")

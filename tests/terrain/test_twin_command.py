@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,7 @@ def test_files_of_a_product_without_pixels(tmp_path: Path) -> None:
     import rasterio
 
     xarray = pytest.importorskip("xarray")
+    h5py = pytest.importorskip("h5py")
     out = tmp_path / "out"
     safe, model = product(tmp_path), dem(tmp_path, flat(31))
     formats = [word for name in ("geotiff", "netcdf", "zarr") for word in ("--format", name)]
@@ -54,7 +56,13 @@ def test_files_of_a_product_without_pixels(tmp_path: Path) -> None:
         power = data["noise"].values
         # noise 4 DN^2 x azimuth factor 1.5 over betaNought 200 squared
         np.testing.assert_allclose(power[np.isfinite(power)], 4.0 * 1.5 / 200.0**2, rtol=1e-5)
+    with h5py.File(out / "map.nc") as file:  # CF: axes have no value for what is missing
+        assert "_FillValue" not in file["x"].attrs
+        assert "_FillValue" not in file["y"].attrs
     with xarray.open_zarr(out / "map.zarr") as data:
+        assert data["spatial_ref"].attrs["grid_mapping_name"] == "latitude_longitude"
+        assert data.attrs["title"].endswith("on the map")
+        assert "warpsar" in data.attrs["history"]
         assert data["gamma0"].attrs["grid_mapping"] == "spatial_ref"
         assert "WGS" in data["spatial_ref"].attrs["crs_wkt"]
         assert data["x"].values[0] < data["x"].values[-1]
@@ -86,6 +94,16 @@ def test_pixels_lie_on_the_same_grid(tmp_path: Path) -> None:
     level = np.nanmedian(mapped["measured_gamma0"])
     ratio = np.nanmedian(found["area_beta"] / found["area_gamma"])
     assert level == pytest.approx((0.5 - 4.0 * 1.5 / 200.0**2) * ratio, rel=0.01)
+
+
+def test_a_zip_archive_must_be_unpacked(tmp_path: Path) -> None:
+    archive = tmp_path / "scene.zip"
+    with zipfile.ZipFile(archive, "w") as file:
+        file.writestr("scene.SAFE/manifest.safe", "<xfdu:XFDU/>")
+    code, output = run(archive, "--dem", dem(tmp_path, flat(9)), "--geoid-offset", 0, "-o", tmp_path / "out")
+    assert code == 2
+    assert "found a zip archive; unpack it" in output
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(

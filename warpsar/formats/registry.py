@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import zipfile
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
@@ -114,6 +115,8 @@ def products(source: str | Path, *, file_format: str = "auto", polarization: str
             f"{path}: found a folder without annotation/; must be a SAFE folder, or a file of one of "
             f"{', '.join(_with_products())}"
         )
+    elif file_format == "auto" and zipfile.is_zipfile(path):
+        raise InputError(f"{path}: found a zip archive; unpack it, and name the folder or file inside")
     elif file_format == "auto":
         name = detect(path, _with_products())
     if name not in names():

@@ -69,12 +69,11 @@ def window_of(product: Product, ground: Elevation, crop: Box | None) -> ImageWin
 
     Places over the model, at its lowest and its highest height, go through zero Doppler.
     """
-    rows, columns = (np.linspace(0, n - 1, min(LOOKS, n)) for n in ground.shape)
-    longitude, latitude = _places(ground, rows, columns)
+    longitude, latitude = places_on(ground)
     inside = np.ones(longitude.shape, bool)
     if crop is not None:
         west, south, east, north = crop
-        inner_lon, inner_lat = np.meshgrid(np.linspace(west, east, LOOKS), np.linspace(south, north, LOOKS))
+        inner_lon, inner_lat = places_in(crop)
         row, column = ground.posts_at(inner_lon, inner_lat)
         over = (row >= 0) & (row <= ground.shape[0] - 1) & (column >= 0) & (column <= ground.shape[1] - 1)
         longitude, latitude, inside = inner_lon, inner_lat, over
@@ -105,6 +104,18 @@ def window_of(product: Product, ground: Elevation, crop: Box | None) -> ImageWin
             f"{product.source}: it shows no place of {ground.path} (which reaches from {_reach(ground)}); must overlap"
         )
     return ImageWindow((min(lines), max(lines) + 1), (min(pixels), max(pixels) + 1))
+
+
+def places_on(ground: Elevation) -> tuple[F64, F64]:
+    """Longitudes and latitudes [deg] of some posts all over the elevation model, `LOOKS` along a side."""
+    return _places(ground, *(np.linspace(0, n - 1, min(LOOKS, n)) for n in ground.shape))
+
+
+def places_in(crop: Box) -> tuple[F64, F64]:
+    """The same all over a box."""
+    west, south, east, north = crop
+    longitude, latitude = np.meshgrid(np.linspace(west, east, LOOKS), np.linspace(south, north, LOOKS))
+    return longitude, latitude
 
 
 def _pixel(grid: LineGrid, time: F64, slant: F64) -> F64:

@@ -22,7 +22,7 @@ from warpsar.products.product import RADIOMETRIES, Product, Radiometry
 from warpsar.runtime import console, devices
 from warpsar.simulation.outputs import make_folder, write_json
 from warpsar.terrain import files
-from warpsar.terrain.blocks import Box
+from warpsar.terrain.blocks import Box, places_in, places_on
 from warpsar.terrain.buildings import placed
 from warpsar.terrain.comparison import TerrainComparison, compared
 from warpsar.terrain.differences import TerrainDifferences, differences
@@ -82,6 +82,9 @@ def twin(
     cover = built = None
     if landcover is not None:
         cover = LandCover.read(Path(landcover), table_of(landcover_table), surfaces, surface)
+        if not cover.meets(*(places_on(elevation) if crop is None else places_in(crop))):
+            where_not = f"{elevation.path}" if crop is None else "--crop"
+            raise InputError(f"{cover.path}: it holds no place of {where_not}; must overlap")
     if buildings is not None:
         built = placed(Path(buildings), elevation, surfaces)
         elevation = replace(elevation, highest_m=max(elevation.highest_m, built.highest_m))

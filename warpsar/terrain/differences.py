@@ -37,6 +37,8 @@ CONFIRMED = 2.0
 """Standard errors of the gain on the other half."""
 LEAST_SQUARES = 12
 """In each half: fewer do not tell what squares have in common."""
+LEAST_TOUCHED = 4
+"""Squares of the other half in which a hypothesis must do something: of fewer a scatter says little."""
 LEAST_REGION = 3 * SQUARE**2 // 2
 """Cells of a part of the land cover that is asked for itself."""
 MOST_REGIONS = 30
@@ -127,7 +129,8 @@ def differences(found: SimulatedProduct) -> TerrainDifferences | str | None:
         best = max(fits, key=lambda k: _gain(cells, (chosen, x), ([*chosen, left[k]], fits[k]), halves[0])[0])
         name, more = left[best], fits[best]
         gain, error = _gain(cells, (chosen, x), ([*chosen, name], more), halves[1])
-        if gain < CONFIRMED * error:
+        sd = _standard_deviations(cells, [*chosen, name], more, halves[0])[-1]
+        if gain < CONFIRMED * error or abs(more[-1]) < CONFIRMED * sd:  # a factor that runs off to 0 has no value
             refused.add(name)
             continue
         ties[name] = tuple(other for k, other in enumerate(left) if k != best and abs(close[best, k]) > TIED)
@@ -135,9 +138,9 @@ def differences(found: SimulatedProduct) -> TerrainDifferences | str | None:
         gains.append(gain)
         x = more
     final = _fitted(cells, chosen, x, cells.usable)
-    sd = _standard_deviations(cells, chosen, final, cells.usable)
+    deviations = _standard_deviations(cells, chosen, final, cells.usable)
     told = tuple(
-        _difference(found, cells, name, float(final[k]), float(sd[k]), gains[k], ties[name])
+        _difference(found, cells, name, float(final[k]), float(deviations[k]), gains[k], ties[name])
         for k, name in enumerate(chosen)
     )
     bare, after = cells.model([], np.zeros(0)).power, cells.model(chosen, x).power
@@ -400,12 +403,23 @@ def _fitted(cells: _Cells, names: list[str], x: F64, where: NDArray[np.bool_]) -
 def _gain(
     cells: _Cells, before: tuple[list[str], F64], after: tuple[list[str], F64], where: NDArray[np.bool_]
 ) -> tuple[float, float]:
-    """Deviance by the variance in cells, less with the hypothesis than without; and its standard error by squares."""
-    powers = [cells.model(*one).power for one in (before, after)]
+    """Deviance by the variance in cells, less with the last hypothesis than without; and its standard error.
+
+    That is of a ratio: squares scatter about the mean gain of a cell, times the cells of each that the hypothesis
+    moves. Where a field fills few squares, that they gain and the others do not is no scatter.
+    """
+    made = cells.model(*after)
+    powers = [cells.model(*before).power, made.power]
     scatter = _Scatter.of(cells, powers[1], where)
     less, more = (scatter.weights * _deviance(cells.measured[where], power[where]) for power in powers)
     by_square = np.bincount(scatter.which, less - more) / scatter.variance
-    return float(by_square.sum()), float(np.sqrt(len(by_square)) * np.std(by_square, ddof=1))
+    touched = np.bincount(scatter.which, np.abs(made.by[after[0][-1]][where]) > 0.0)
+    several, total = touched > 0, float(by_square.sum())
+    count = int(several.sum())
+    if count < LEAST_TOUCHED:
+        return total, np.inf
+    off = by_square[several] - total * touched[several] / touched.sum()
+    return total, float(np.sqrt(count / (count - 1) * (off**2).sum()))
 
 
 def _standard_deviations(cells: _Cells, names: list[str], x: F64, where: NDArray[np.bool_]) -> F64:

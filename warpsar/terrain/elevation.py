@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from warpsar.errors import InputError
 from warpsar.io import geotiff
 from warpsar.terrain.datum import VerticalDatum, datum_of
-from warpsar.world.earth import geodetic_to_ecef
+from warpsar.world.earth import geodetic_to_ecef, same_turn
 from warpsar.world.meshes.dem import LARGEST_PER_BYTE, check_heights
 
 F64 = NDArray[np.float64]
@@ -50,6 +50,8 @@ class Elevation:
     highest_m: float
     spacing_m: tuple[float, float]
     """Between rows, and between columns, in the middle."""
+    longitude_deg: float
+    """Of the middle: longitudes of layers are counted from there, so that the date line makes no step."""
 
     @classmethod
     def read(cls, path: Path, geoid_offset_m: float | None = None) -> Elevation:
@@ -93,7 +95,7 @@ class Elevation:
         margin = 10.0  # [m]: the geoid is not level over the file
         return cls(
             path, shape, crs, affine, datum, float(low + lifted - margin), float(high + lifted + margin),
-            (float(steps[0]), float(steps[1])),
+            (float(steps[0]), float(steps[1])), float(square[0][0, 0]),
         )  # fmt: skip
 
     def window(self, rows: tuple[int, int], columns: tuple[int, int]) -> PostWindow:
@@ -110,6 +112,8 @@ class Elevation:
 
             flat = [np.asarray(each, np.float64).ravel() for each in (longitude, latitude)]
             x, y = (np.asarray(each) for each in transform("EPSG:4326", self.crs, *flat))
+        if self.crs.is_geographic:
+            x = same_turn(x, _through(self.affine, 0.5 * self.shape[1], 0.5 * self.shape[0])[0])
         column, row = _through(~self.affine, x, y)
         shape = np.shape(longitude)
         return np.reshape(row, shape) - 0.5, np.reshape(column, shape) - 0.5
@@ -121,7 +125,7 @@ def _heights(source: Any, top: int, bottom: int, left: int, right: int) -> F64:
     return np.where(np.isfinite(found), found, np.nan)
 
 
-def _through(affine: Any, x: F64, y: F64) -> tuple[F64, F64]:
+def _through(affine: Any, x: Any, y: Any) -> tuple[Any, Any]:
     return affine.a * x + affine.b * y + affine.c, affine.d * x + affine.e * y + affine.f
 
 

@@ -132,6 +132,7 @@ def _panels(
     tall = abs(ends[3] - ends[2]) * aspect / abs(ends[1] - ends[0])
     height = float(np.clip(2.7 * tall, 1.6, 6.0)) + 0.9
     figure, axes = figures.new(4.2 * columns, height * rows, nrows=rows, ncols=columns, squeeze=False)
+    figure.set_layout_engine("compressed")  # else a bar stands apart from a picture that is narrow
     powers = [thinned(layers[one.name])[0] for one in chosen if one.kind == "power"]
     scale = GreyScale.of(powers) if powers else None
     for axis, layer in zip(axes.flat, chosen, strict=False):
@@ -160,7 +161,11 @@ def _seen_panel(
     _dress(axis, "layover and shadow")
     there = [one for k, one in enumerate(SEEN) if k in (0, 1, 2) or (shown == k).any()]
     handles = [Patch(facecolor=colour, edgecolor="0.3", label=name) for name, colour in there]
-    axis.legend(handles=handles, fontsize=7, loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
+    # below: beside it, the words would widen the column of other panels
+    axis.legend(
+        handles=handles, fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.16), frameon=False,
+        ncols=2, handlelength=1.2, columnspacing=0.9,
+    )  # fmt: skip
 
 
 def _dress(axis: Axes, title: str) -> None:
@@ -192,4 +197,4 @@ def _panel(
     bar = axis.figure.colorbar(drawn, ax=axis, label=label, shrink=0.85)
     if layer.kind == "power" and scale is not None:
         bar.set_ticks(scale.ticks_db)
-        bar.set_ticklabels([f"{at:g}" for at in scale.ticks_db])
+        bar.set_ticklabels([f"{at + 0.0:g}" for at in scale.ticks_db])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from uuid import uuid4
@@ -96,7 +97,6 @@ def _write_zarr(path: Path, data: xarray.Dataset) -> None:
 def image_dataset(found: SimulatedProduct) -> xarray.Dataset:
     """Layers on the product's grid, along `line` and `pixel`; longitude and latitude are coordinates."""
     EXTRAS["netcdf"].require("image_dataset:")
-    import xarray
 
     variables = {name: _variable(("line", "pixel"), values, of_image(name)) for name, values in found.image.items()}
     if "cover" in variables:
@@ -108,13 +108,12 @@ def image_dataset(found: SimulatedProduct) -> xarray.Dataset:
         name: ((name,), np.arange(*ends), {"long_name": f"{name} of the product, from 0", "units": "1"})
         for name, ends in (("line", found.window.lines), ("pixel", found.window.pixels))
     }
-    return xarray.Dataset(variables, {**axes, **places}, {"Conventions": "CF-1.11", **facts(found)})
+    return _dataset(variables, {**axes, **places}, "product's grid", found)
 
 
 def map_dataset(found: SimulatedProduct) -> xarray.Dataset:
     """Layers on the map, along `y` and `x`, with a grid mapping `spatial_ref` as CF and rioxarray know it."""
     EXTRAS["netcdf"].require("map_dataset:")
-    import xarray
 
     place = found.map_place
     rows, columns = next(iter(found.map.values())).shape
@@ -124,7 +123,7 @@ def map_dataset(found: SimulatedProduct) -> xarray.Dataset:
         variables[name] = dimensions, array, {**attributes, "grid_mapping": "spatial_ref"}
     affine = place.affine
     words = " ".join(f"{each:.17g}" for each in affine.to_gdal())
-    variables["spatial_ref"] = (), np.int32(0), {"crs_wkt": place.crs.to_wkt(), "GeoTransform": words}
+    variables["spatial_ref"] = (), np.int32(0), {**_grid_mapping(place.crs), "GeoTransform": words}
     geographic = place.crs.is_geographic
     kinds = (
         ("x", columns, affine.a, affine.c, "longitude" if geographic else "projection_x_coordinate"),
@@ -135,7 +134,38 @@ def map_dataset(found: SimulatedProduct) -> xarray.Dataset:
         name: ((name,), start + step * (np.arange(count) + 0.5), {"standard_name": kind, "units": unit[name]})
         for name, count, step, start, kind in kinds
     }
-    return xarray.Dataset(variables, axes, {"Conventions": "CF-1.11", **facts(found)})
+    return _dataset(variables, axes, "map", found)
+
+
+def _dataset(
+    variables: dict[str, Any], coordinates: dict[str, Any], where: str, found: SimulatedProduct
+) -> xarray.Dataset:
+    import xarray
+
+    said = facts(found)
+    now = f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}"
+    made = xarray.Dataset(
+        variables,
+        coordinates,
+        {
+            "Conventions": "CF-1.11",
+            "title": f"Simulated twin of {said['product']}, on the {where}",
+            "history": f"{now} {said['software']}: twin of {said['product']} over {said['elevation_model']}",
+            **said,
+        },
+    )
+    for name in set(coordinates) & set(made.dims):
+        made[name].encoding["_FillValue"] = None  # CF allows none on axes, and xarray would write NaN
+    return made
+
+
+def _grid_mapping(crs: Any) -> dict[str, Any]:
+    """A coordinate system by appendix F of CF; by `crs_wkt` alone where that has no such projection."""
+    import pyproj
+
+    wkt = crs.to_wkt()
+    said = pyproj.CRS.from_wkt(wkt).to_2d().to_cf() if crs else {}
+    return {**{key: value for key, value in said.items() if value != "unknown"}, "crs_wkt": wkt}
 
 
 def _variable(dimensions: tuple[str, str], values: np.ndarray, layer: Layer) -> tuple[Any, np.ndarray, dict[str, Any]]:

@@ -13,7 +13,7 @@ from warpsar.products.zero_doppler import abeam, axes_up, locate
 from warpsar.terrain.blocks import ImageBlock
 from warpsar.terrain.elevation import Elevation
 from warpsar.terrain.scenery import Scenery
-from warpsar.world.earth import LocalEarth, geodetic_to_ecef
+from warpsar.world.earth import LocalEarth, ecef_to_geodetic, geodetic_to_ecef, same_turn
 
 F64 = NDArray[np.float64]
 TOLERANCE_S = 1e-8
@@ -114,7 +114,7 @@ def ground_of(product: Product, elevation: Elevation, block: ImageBlock, scenery
     classes, class_place = scenery.classes_at(geodetic)
     built = None if scenery.buildings is None else scenery.buildings.within(block.rows, block.columns)
     ground_facets = len(facets)
-    origin = LocalEarth(*geodetic.mean(axis=0))
+    origin = LocalEarth(*ecef_to_geodetic(point.mean(axis=0)))  # a mean of longitudes fails at the date line
     centre = geodetic_to_ecef(np.array([origin.latitude_deg, origin.longitude_deg, origin.height_m]))
     a, b, c = ((point[facets[0, i]] - centre) @ origin.axes.T for i in range(3))
     turned = bool(_around(a, b, c) < 0.0)
@@ -133,6 +133,7 @@ def ground_of(product: Product, elevation: Elevation, block: ImageBlock, scenery
             for pair in zip((time, slant), abeam(orbit, corners, float(middle), TOLERANCE_S), strict=True)
         )
         point = np.concatenate([point, corners])
+    geodetic[:, 1] = same_turn(geodetic[:, 1], origin.longitude_deg)
     local = (point - centre) @ origin.axes.T
     look = (orbit.at(time)[0] - point) / slant[:, None] @ origin.axes.T
     line = block.grid.line(time, slant) - (block.window.lines[0] - block.grid_line)

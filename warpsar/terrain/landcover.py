@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from warpsar.errors import InputError, did_you_mean, shown
 from warpsar.io import geotiff
 from warpsar.terrain.elevation import READ_POSTS
+from warpsar.world.earth import same_turn
 from warpsar.world.library.surfaces import SURFACES
 
 F64 = NDArray[np.float64]
@@ -144,15 +145,28 @@ class LandCover:
         rows_of = {code: surfaces.index(table[code]) for code in found}
         return cls(path, shape, crs, affine, rows_of, surfaces.index(elsewhere))
 
-    def around(self, geodetic: F64) -> tuple[NDArray[np.int32], F64]:
-        """Rows of sigma0 (r, c) about places (n, 3: latitude, longitude, height), and each place's column and row in
-        that part, (n, 2). Beyond the raster's edge lies a cell of `row_elsewhere`."""
+    def meets(self, longitude: F64, latitude: F64) -> bool:
+        """Whether the raster reaches into the box about these places [deg]."""
+        return all(
+            at.max() > 0.0 and at.min() < count
+            for at, count in zip(self._at(longitude.ravel(), latitude.ravel()), reversed(self.shape), strict=True)
+        )
+
+    def _at(self, longitude: F64, latitude: F64) -> tuple[F64, F64]:
+        """Columns and rows of places (n,) [deg]; whole numbers are corners of cells."""
         with geotiff.projecting(self.path):
             from rasterio.warp import transform
 
-            x, y = (np.asarray(each) for each in transform("EPSG:4326", self.crs, geodetic[:, 1], geodetic[:, 0]))
+            x, y = (np.asarray(each) for each in transform("EPSG:4326", self.crs, longitude, latitude))
+        if self.crs.is_geographic:
+            x = same_turn(x, self.affine.c + 0.5 * (self.shape[1] * self.affine.a + self.shape[0] * self.affine.b))
         inverse = ~self.affine
-        column, row = inverse.a * x + inverse.b * y + inverse.c, inverse.d * x + inverse.e * y + inverse.f
+        return inverse.a * x + inverse.b * y + inverse.c, inverse.d * x + inverse.e * y + inverse.f
+
+    def around(self, geodetic: F64) -> tuple[NDArray[np.int32], F64]:
+        """Rows of sigma0 (r, c) about places (n, 3: latitude, longitude, height), and each place's column and row in
+        that part, (n, 2). Beyond the raster's edge lies a cell of `row_elsewhere`."""
+        column, row = self._at(geodetic[:, 1], geodetic[:, 0])
         # a cell more than the raster has, on every side: outside of it
         (top, bottom), (left, right) = (
             (max(int(np.floor(at.min())) - MARGIN_CELLS, -1), min(int(np.ceil(at.max())) + MARGIN_CELLS, count + 1))

@@ -23,6 +23,7 @@ from warpsar.terrain.elevation import Elevation
 from warpsar.terrain.ground import edges_of, ground_of
 from warpsar.terrain.projection import BlockPixels, BlockProjection
 from warpsar.terrain.scenery import Scenery
+from warpsar.world.earth import same_turn
 
 F64 = NDArray[np.float64]
 LEAST_COVER = 0.99
@@ -232,7 +233,7 @@ class _Canvas:
                 "area_beta": beta_area,
                 "area_sigma": found.area,
                 "area_gamma": found.across,
-                "longitude": found.longitude,
+                "longitude": same_turn(found.longitude, self.elevation.longitude_deg),
                 "latitude": found.latitude,
                 "height": found.height,
                 "cover": found.cover,

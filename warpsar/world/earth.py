@@ -103,6 +103,11 @@ def geodetic_to_ecef(geodetic: np.ndarray) -> np.ndarray:
     )
 
 
+def same_turn(longitude_deg: np.ndarray, about_deg: float) -> np.ndarray:
+    """The same longitudes (...) [deg], from 180 west to 180 east of another: the date line makes no step there."""
+    return about_deg + np.mod(np.asarray(longitude_deg, np.float64) - about_deg + 180.0, 360.0) - 180.0
+
+
 def ecef_to_geodetic(ecef_m: np.ndarray) -> np.ndarray:
     """Earth-centred metres to (latitude [deg], longitude [deg], height [m]), shape (..., 3).
 
