@@ -179,7 +179,7 @@ def test_products_that_cannot_be_opened_are_named(tmp_path: Path) -> None:
         warpsar.reflectors([tmp_path / "empty.SAFE"], sites(tmp_path))
     plain = tmp_path / "a.npy"
     np.save(plain, np.ones((3, 3)))
-    with pytest.raises(InputError, match="says no orbit; must be one of gamma, nisar, sentinel1"):
+    with pytest.raises(InputError, match="says no orbit; must be one of capella, gamma, nisar, sentinel1"):
         warpsar.reflectors([plain], sites(tmp_path))
 
 
