@@ -172,7 +172,8 @@ def test_console_json_and_report_say_the_same_of_every_turn(graded: Ran) -> None
                 continue
             added = name == turn["added"]
             assert f"  holds: {name}: {said}" in lines if added else f"  not added: {name}: {said}" in block
-            assert f"{name} {'was' if added else 'was not'} added: {said}." in text
+            outcome = said.replace("+- ", "±\u00a0")  # as reports write it
+            assert f"{name} {'was' if added else 'was not'} added: {outcome}." in text
             if candidate["refit_gain"] is not None:
                 assert said.startswith(
                     f"2 ln L {candidate['refit_gain']:+,.1f} for {candidate['refit_size']} parameter"
