@@ -88,3 +88,23 @@ def test_pieces_inside_of_tasks_end(monkeypatch: pytest.MonkeyPatch) -> None:
 
     with pytest.raises(ValueError, match="of a piece"):
         threads.side_by_side([failing, *(partial(piece, k) for k in range(5))])
+
+
+def test_no_task_goes_on_after_another_one_failed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A search that ran out of time hung: tasks that it left behind waited for a lock on both threads, and the last
+    fit held that lock and waited for a thread."""
+    monkeypatch.setenv("WARPSAR_THREADS", "2")
+    begun, ended, last = threading.Event(), threading.Event(), threading.Event()
+
+    def fails() -> None:
+        begun.wait(10.0)
+        raise ValueError("time is up")
+
+    def slow() -> None:
+        begun.set()
+        last.wait(0.3)
+        ended.set()
+
+    with pytest.raises(ValueError, match="time is up"):
+        list(threads.in_threads([fails, slow, last.set]))
+    assert ended.is_set()

@@ -6,8 +6,8 @@ import os
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from functools import cache, partial
+from concurrent.futures import ThreadPoolExecutor, wait
+from functools import cache
 from typing import TYPE_CHECKING, TypeVar
 
 from warpsar.runtime.distributed.torchrun import processes_here
@@ -46,7 +46,12 @@ def in_threads(tasks: Iterable[Callable[[], T]]) -> Iterator[T]:
         given = list(tasks)
         if len(given) > 1:
             threads = thread_count()
-            yield from _pool(threads).map(partial(_work, max(1, threads // len(given))), given)
+            cores = max(1, threads // len(given))
+            begun = [_pool(threads).submit(_work, cores, task) for task in given]
+            try:
+                yield from (one.result() for one in begun)
+            finally:  # after a failure, too: a task left running may wait for a lock of whoever waits for its thread
+                wait([one for one in begun if not one.cancel()])
             return
         tasks = given
     # one task keeps all cores for itself; a task of a task stays in its thread, or all could wait for one another
