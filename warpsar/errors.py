@@ -20,9 +20,11 @@ def shown(value: object) -> str:
     return text if len(text) <= 80 else f"{text[:77]}..."
 
 
-def did_you_mean(found: object, known: Iterable[str]) -> str:
-    """What may be said behind a name that is not known: "; did you mean X?", or nothing where none is close."""
-    close = get_close_matches(str(found), list(known), n=1)
+def did_you_mean(found: object, known: Iterable[str], least: float = 0.6) -> str:
+    """What may be said behind a name that is not known: "; did you mean X?", or nothing where none is close.
+
+    `least`: share of the letters that are alike, as difflib counts them."""
+    close = get_close_matches(str(found), list(known), 1, least)
     return f"; did you mean {close[0]}?" if close else ""
 
 

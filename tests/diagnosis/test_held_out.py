@@ -284,14 +284,19 @@ def test_a_mesh_that_says_no_more_than_a_box_is_not_this_body(tmp_path: Path) ->
 @pytest.mark.full
 def test_the_box_has_a_search_of_its_own_before_a_lead_is_claimed(tmp_path: Path) -> None:
     """A box that was left below its best is as good as a mesh of a box once it was searched, and stays behind a truck's
-    own mesh."""
+    own mesh. A resumed run takes the box's search from the log."""
     for name in ("truck", "box"):
         search = of_a_truck(tmp_path, name)
         search._meet_box()
         poor = search._rivals["box"]
-        search._rivals["box"] = Model(poor.scenes, poor.scores + 1.0)
+        below = Model(poor.scenes, poor.scores + 1.0)
+        search._rivals["box"], search._log = below, RunLog()
         search._search_box()
-        found = search._rivals["box"]
+        found, log = search._rivals["box"], search._log
+        search._rivals["box"], search._log = below, RunLog(entries=log.entries)
+        search._search_box()
+        assert (search._rivals["box"].scores == found.scores).all()
+        assert search._log.entries == log.entries  # nothing was found anew
         assert found.scores.mean() < poor.scores.mean() + 0.5
         assert search.steps[-1].label == SEARCHED
         models = {"model": search._model.scenes, "box": found.scenes}

@@ -13,7 +13,7 @@ from warpsar.calibration.attitude import Facing, trihedral_rcs_m2
 from warpsar.calibration.point import PointMeasurement, PointSettings, ResponseAxis, measure_point
 from warpsar.calibration.sites import ReflectorSite
 from warpsar.errors import InputError
-from warpsar.products.product import ImagedPoint, Product, Radiometry
+from warpsar.products.product import ImagedPoint, Product, Radiometry, to_beta0
 from warpsar.world.frame import SPEED_OF_LIGHT
 
 F64 = NDArray[np.float64]
@@ -259,7 +259,7 @@ def _measured(
         reason = f"a sample about it has the largest number of the format, {top:g}"
         return replace(placed, status="saturated", reason=reason)
     radiometry = product.radiometry or radiometry
-    factor = to_beta0(radiometry, expected.incidence_deg)
+    factor = float(to_beta0(radiometry, expected.incidence_deg))
     gain = product.gain(lines[:, None], pixels) if product.gain is not None else np.ones((1, 1))
     chip: NDArray[Any]
     if product.quantity == "complex":
@@ -299,10 +299,3 @@ def responses(product: Product, spacing_m: tuple[float, float]) -> tuple[Respons
         ResponseAxis(azimuth, product.hamming[1], spacing_m[0] if whole else 0.0, product.looks[1]),
         ResponseAxis(along, product.hamming[0], spacing_m[1] if whole else 0.0, product.looks[0]),
     )
-
-
-def to_beta0(radiometry: Radiometry | None, incidence_deg: float) -> float:
-    """beta0 = sigma0 / sin(incidence), sigma0 = gamma0 cos(incidence), on the ellipsoid."""
-    angle = np.deg2rad(incidence_deg)
-    factors = {"sigma0": 1.0 / np.sin(angle), "gamma0": 1.0 / np.tan(angle)}
-    return float(factors.get(str(radiometry), 1.0))

@@ -18,10 +18,10 @@ from scipy.optimize import brentq
 from scipy.special import digamma, fdtrc, polygamma, stdtr, stdtrit
 
 from warpsar.calibration.differences import SAME_PASS
-from warpsar.calibration.measure import ReflectorObservation, responses, to_beta0
+from warpsar.calibration.measure import ReflectorObservation, responses
 from warpsar.calibration.sites import VALID_PLACE, ReflectorSite
 from warpsar.errors import InputError
-from warpsar.products.product import ImagedPoint, Product, Radiometry
+from warpsar.products.product import ImagedPoint, Product, Radiometry, to_beta0
 
 F64 = NDArray[np.float64]
 FALSE_RATE = 0.01
@@ -204,7 +204,7 @@ def _cut(product: Product, site: ReflectorSite, radiometry: Radiometry | None) -
         power = power**2
     if product.gain is not None:
         power = power * product.gain(np.arange(top, bottom)[:, None], np.arange(left, right))
-    factor = to_beta0(product.radiometry or radiometry, point.incidence_deg)
+    factor = float(to_beta0(product.radiometry or radiometry, point.incidence_deg))
     power = np.where(np.isfinite(power), power, 0.0) * factor
     return _Cut(power, date, (point.line - top, point.pixel - left), product, point, (top, left))
 

@@ -7,7 +7,6 @@ import io
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 from pathlib import Path
 
 import numpy as np
@@ -187,14 +186,13 @@ def _refuse_misspelt(path: Path, line: int, header: Sequence[str]) -> None:
     known = {name.removesuffix("_deg").removesuffix("_m"): name for name in (*COLUMNS, *MORE_COLUMNS)}
     for name in (one for one in header if one not in known.values()):
         stem = name.removesuffix("_deg").removesuffix("_m")
-        close = [known[stem]] if stem in known else get_close_matches(name, known.values(), 1, NEARLY)
         if stem == "elevation":
             raise InputError(
                 f"{path}: line {line}: found the column {shown(name)}; must be tilt_deg: of an upright trihedral the "
                 "boresight's elevation less 35.26 degrees"
             )
-        if close:
-            raise InputError(f"{path}: line {line}: found the column {shown(name)}; did you mean {close[0]}?")
+        if near := did_you_mean(known.get(stem, name), known.values(), NEARLY):
+            raise InputError(f"{path}: line {line}: found the column {shown(name)}{near}")
 
 
 def _is_bare(cells: Sequence[str]) -> bool:

@@ -24,7 +24,7 @@ from warpsar.formats.base.located import chip_of
 from warpsar.io import geotiff
 from warpsar.products.grid import LineGrid
 from warpsar.products.orbit import Orbit
-from warpsar.products.product import Product, Radiometry
+from warpsar.products.product import Product, Radiometry, to_beta0
 from warpsar.products.zero_doppler import Side, incidence_deg, locate, toward_radar
 from warpsar.world.earth import ecef_to_geodetic
 
@@ -270,10 +270,9 @@ def _noise(
     height = float(ecef_to_geodetic(np.array(target))[2])
     times, slant = grid.time_s(middle, pixels), grid.slant_m(middle, pixels)
     places = locate(orbit, times, slant, height, side)
-    angle = np.deg2rad([incidence_deg(toward_radar(orbit, p, t)) for p, t in zip(places, times, strict=True)])
+    angle = [incidence_deg(toward_radar(orbit, p, t)) for p, t in zip(places, times, strict=True)]
     sigma0 = 10.0 ** (0.1 * np.polynomial.polynomial.polyval(slant, coefficients))
-    turned = {"beta0": np.sin(angle), "sigma0": np.ones(angle.shape), "gamma0": np.cos(angle)}[radiometry]
-    power = sigma0 / turned / scale**2
+    power = sigma0 * to_beta0("sigma0", angle) / to_beta0(radiometry, angle) / scale**2
     return lambda line, pixel: np.broadcast_to(
         np.interp(np.asarray(pixel, np.float64), pixels, power), np.broadcast(line, pixel).shape
     )

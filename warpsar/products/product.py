@@ -21,6 +21,14 @@ Radiometry = Literal["beta0", "sigma0", "gamma0"]
 RADIOMETRIES: tuple[Radiometry, ...] = ("beta0", "sigma0", "gamma0")
 
 
+def to_beta0(radiometry: Radiometry | None, incidence_deg: ArrayLike) -> F64:
+    """What turns power into beta0, of the incidences' shape: beta0 = sigma0 / sin(incidence), sigma0 = gamma0
+    cos(incidence), on the ellipsoid. 1 where nothing says what the power is."""
+    angle = np.deg2rad(incidence_deg)
+    factor = {"sigma0": np.sin, "gamma0": np.tan}.get(str(radiometry), np.ones_like)
+    return np.asarray(1.0 / factor(angle))
+
+
 class Samples(Protocol):
     """Pixels (rows, columns): an array, a memory map, or a file that is read only where it is sliced."""
 

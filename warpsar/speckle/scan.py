@@ -25,6 +25,7 @@ Window = tuple[int, int]
 WINDOWS: tuple[Window, ...] = ((3, 3), (5, 5), (9, 9))
 CACHED = 5  # draws at once: their images stay in the cache
 POWER, LIKELIHOOD = 0, 1  # what is asked of windows
+ONE_PIXEL = (1, 1)  # a window; dark ones of it are not asked for
 LEAST_RATIO = 1e-2  # of power: a pixel that is 0 lies a hair beyond all that are nearly 0
 FULL = 0.5  # share of a window that must be compared pixels
 
@@ -102,7 +103,7 @@ class Scan:
                 for window, z, looks in parted:
                     high = z.max(axis=(1, 2))
                     unlikely = _root(high, looks)
-                    if window != (1, 1):
+                    if window != ONE_PIXEL:
                         unlikely = np.maximum(unlikely, -_root(z.min(axis=(1, 2)), looks))
                     found[:, some] = np.maximum(found[:, some], [high, unlikely])
         return found
@@ -122,12 +123,12 @@ class Scan:
             less = [np.zeros(1)] * len(found) if granted is None else self._windows(index, granted[index][:, None])
             for window, z, free, looks in zip(self.windows, found, less, self.looks[index], strict=True):
                 z = np.sign(z[0]) * np.maximum(np.abs(z[0]) - free[0], 0.0)
-                for question, at, value in (
-                    (POWER, z.argmax(), z.max()),
-                    (LIKELIHOOD, z.argmax(), _root(z.max(), looks)),
-                    (LIKELIHOOD, z.argmin(), -_root(z.min(), looks)),
-                ):
-                    if value > most[question] and not (window == (1, 1) and at == z.argmin()):
+                high, low = z.argmax(), z.argmin()
+                answers = [(POWER, high, z.flat[high]), (LIKELIHOOD, high, _root(z.flat[high], looks))]
+                if window != ONE_PIXEL:
+                    answers.append((LIKELIHOOD, low, -_root(z.flat[low], looks)))
+                for question, at, value in answers:
+                    if value > most[question]:
                         row, col = np.unravel_index(int(at), z.shape)
                         box = self.boxes[index]
                         place = (int(row + box[0].start), int(col + box[1].start))

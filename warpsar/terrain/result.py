@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from warpsar.errors import InputError
 from warpsar.io.geotiff import AffinePlace
-from warpsar.products.product import ImagedPoint, Product
+from warpsar.products.product import ImagedPoint, Product, to_beta0
 from warpsar.runtime import console
 from warpsar.runtime.devices import load_kernels
 from warpsar.runtime.threads import ordered
@@ -254,11 +254,7 @@ class _Canvas:
         """The product's noise and pixels as beta0."""
         product = self.product
         gain = 1.0 if product.gain is None else product.gain(line, pixel)
-        angle = np.deg2rad(found.ellipsoid_incidence)
-        if product.radiometry == "sigma0":
-            gain = gain / np.sin(angle)
-        elif product.radiometry == "gamma0":
-            gain = gain / np.tan(angle)
+        gain = gain * to_beta0(product.radiometry, found.ellipsoid_incidence)
         made: dict[str, np.ndarray] = {}
         noise: np.ndarray | float = 0.0
         if "noise" in self.image and product.noise is not None:

@@ -257,8 +257,8 @@ class Search:
                 setup = with_all_anew(setup, turn, self.scene)
             if turn.fitted is not None:
                 prune(setup, turn, self._effects(here), price)
-                paths = [name for name in self._effects(here) if name in turn.fitted.scene.effects]
-                paths = [name for name in paths if get(name).follows_rays]
+                left = [name for name in self._effects(here) if name in turn.fitted.scene.effects]
+                paths = [name for name in left if get(name).follows_rays]
                 turn.fitted = resettled(setup, turn.fitted, paths, self.scene)
         return turn
 

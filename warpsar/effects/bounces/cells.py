@@ -21,7 +21,7 @@ from warpsar.trace.hits import BinGrid
 from warpsar.world.taper import taper
 
 _FADES = 5.0, 11.5
-"""Cells between which the response fades along an axis: the first sample that may be left out is as far."""
+"""Cells between which the response fades along an axis. Samples beyond have no share (`kernels.NEAR`)."""
 _WEAK = 1e-6
 """Share of a group's strongest sample, in power, below which others get nothing. Fields of the groups of a long face
 cancel: what is left out of one is left over of the next, and adds up."""
@@ -141,7 +141,7 @@ def response_of(name: str) -> NDArray[np.float64]:
 
 
 def _fading(response: NDArray[np.float64]) -> NDArray[np.float64]:
-    """`response_of` that ends without a step (`kernels.faded`)."""
+    """`response_of` that falls to nothing along its axis, over `_FADES`. In both at once `kernels.faded` does it."""
     steps, (whole, none) = int(kernels.STEPS), _FADES
     at = np.arange(response.shape[1]) / steps - int(kernels.REACH)
     part = 0.5 * np.pi * np.clip((np.abs(at) - whole) / (none - whole), 0.0, 1.0)
