@@ -532,6 +532,27 @@ def test_objects_share_a_render_and_the_slopes_stay(monkeypatch: pytest.MonkeyPa
         assert np.linalg.norm(found - expected, axis=0).max() < 1e-3 * np.linalg.norm(expected, axis=0).min()
 
 
+@pytest.mark.parametrize(
+    "effects",
+    [
+        {"registration": {"range_m": 3.0, "azimuth_m": -2.2, "up_m": 1.0}},
+        {"aim_point": {"range_m": {"v0": 2.0, "v1": -1.0}, "azimuth_m": {"v1": 4.0}}},
+    ],
+)
+def test_objects_share_a_render_where_effects_move_images(
+    effects: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A box is where hits lie and where their power falls: the slopes are those of whole images, to float32."""
+    scene = measured(car_park(4))
+    problem = problem_of(replace(scene, effects=effects))
+    assert len(shared(problem.geometry.coordinates, boxes(problem.scene, scene.views[0]))) < 20
+    together = problem.jacobian(problem.x0)
+    monkeypatch.setattr("warpsar.learning.pose.boxes", lambda scene, view: None)
+    alone = problem.jacobian(problem.x0)
+    for found, expected in zip(together, alone, strict=True):
+        assert np.linalg.norm(found - expected, axis=0).max() < 1e-3 * np.linalg.norm(expected, axis=0).min()
+
+
 def test_a_box_holds_all_that_a_move_changes() -> None:
     """A tall body and its long shadow, moved by 5 cm: nothing changes outside of its box."""
     scene = scene_with(BOX, sides=((25, 60),), shape=96, spacing_m=0.5)

@@ -19,7 +19,7 @@ from warpsar.errors import InputError, did_you_mean, shown
 from warpsar.models import registry as models
 from warpsar.models.base.model import DEFAULT
 from warpsar.world.tables import View
-from warpsar.world.world import World
+from warpsar.world.world import World, geometry_of
 
 
 @cache
@@ -153,6 +153,12 @@ def declared(scene: World, view: View, *, neutral: bool = False) -> list[Declare
         settings = {s.name: setting_in(view, s, table) for s in effect.settings}
         found.append(DeclaredEffect(effect, values_in(scene, view, effect, table), settings))
     return found
+
+
+def shift_m(scene: World, view: View) -> np.ndarray:
+    """Range and azimuth [m] by which the scene's effects move the image of a view, shape (2,)."""
+    axes = geometry_of(scene, view)
+    return sum((one.effect.shift_m(one.values, axes) for one in declared(scene, view)), np.zeros(2))
 
 
 def acting(scene: World) -> list[str]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warpsar.effects.registry import get
+from warpsar.effects.registry import get, shift_m
 from warpsar.learning.geometry import GeometryCoordinate
 from warpsar.scene.scene import Scene
 from warpsar.world.tables import View
@@ -47,12 +47,13 @@ def boxes(scene: Scene, view: View) -> dict[str, Box] | None:
     carries power further.
 
     What an object hides lies behind it, and not below the lowest point of the scene: (z - lowest) / cos(incidence)
-    further along the ray.
+    further along the ray. Where effects move the image, a box reaches from where hits lie to where their power does.
     """
     spread = _spread_m(scene)
     if spread is None or scene.slant_range_m(view) is not None or scene.assembly is None:
         return None
     geometry, spacing = geometry_of(scene, view), scene.grid.spacing_m
+    away = spread + np.abs(shift_m(scene, view))
     origin, lowest = np.asarray(scene.reference_point_m), float(scene.mesh.vertices[:, 2].min())
     found = {}
     for one in scene.objects:
@@ -62,9 +63,9 @@ def boxes(scene: Scene, view: View) -> dict[str, Box] | None:
         behind = range_m + (vertices[:, 2] - lowest) / -geometry.d[2]
         ends = ((range_m.min(), behind.max()), (azimuth_m.min(), azimuth_m.max()))
         low, high = [], []
-        for (least, most), step, count in zip(ends, spacing, scene.grid.shape, strict=True):
-            low.append(int(np.floor((least - spread) / step + count / 2)) - MARGIN)
-            high.append(int(np.ceil((most + spread) / step + count / 2)) + MARGIN)
+        for (least, most), far, step, count in zip(ends, away, spacing, scene.grid.shape, strict=True):
+            low.append(int(np.floor((least - far) / step + count / 2)) - MARGIN)
+            high.append(int(np.ceil((most + far) / step + count / 2)) + MARGIN)
         found[one.label] = Box((low[0], low[1]), (high[0], high[1]))
     return found
 

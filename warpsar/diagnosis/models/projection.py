@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from warpsar.effects.registry import declared
+from warpsar.effects.registry import shift_m
 from warpsar.scene.scene import Scene
 from warpsar.world.tables import View
 from warpsar.world.world import geometry_of
@@ -12,9 +12,7 @@ from warpsar.world.world import geometry_of
 
 def shift_px(scene: Scene, view: View) -> np.ndarray:
     """Rows and columns by which the scene's effects move the image of a view, shape (2,)."""
-    axes = geometry_of(scene, view)
-    moved = sum((one.effect.shift_m(one.values, axes) for one in declared(scene, view)), np.zeros(2))
-    return moved / np.array(scene.grid.spacing_m)
+    return shift_m(scene, view) / np.array(scene.grid.spacing_m)
 
 
 def pixel_of(scene: Scene, view: View, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

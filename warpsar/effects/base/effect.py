@@ -75,8 +75,8 @@ class Effect:
 
     def spread_m(self, table: Mapping[str, Any]) -> float | None:
         """Up to the image stage: the full width of the Gaussian by which it spreads power over the image [m], 0 where
-        it leaves power at its place; None where it carries power anywhere."""
-        return None if self.stage in ("position", "path") else 0.0
+        it does not (`shift_m` is beside that); None where it carries power anywhere."""
+        return None if self.stage == "path" else 0.0
 
     def law_db(self, table: Mapping[str, Any], incidence_deg: np.ndarray) -> Mapping[str, np.ndarray]:
         """What `table` makes of sigma0 [dB] at local incidences (n,), by polarization: a law for people to look at;
