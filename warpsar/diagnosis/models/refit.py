@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -36,6 +36,9 @@ BOUND = 20.0
 # Log-likelihood behind the best, at which a fit is given up: of starts of one model after the quick iterations, and of
 # candidates at their present pace.
 HOPELESS = 100.0
+# Starts of one model are compared after so many iterations, too; one that is not the best by the quick iterations, and
+# has gained less than `STANDS` in log-likelihood since, goes along a flat valley: that is left to the best alone.
+PACE_FROM, STANDS = 9, 0.5
 
 
 @dataclass(frozen=True)
@@ -117,8 +120,8 @@ def _value(plain: Any) -> Any:
 def descend(
     problem: FitProblem, starts: Iterable[np.ndarray], moving: np.ndarray | None = None, *, quick: bool = False
 ) -> tuple[np.ndarray, float, int]:
-    """The best end of Levenberg-Marquardt from several starts, its loss and all iterations. The starts race, and
-    the hopeless are given up; processes share them."""
+    """The best end of Levenberg-Marquardt from several starts, its loss and all iterations. The starts race; the
+    hopeless are given up, and those that no longer gain on the best. Processes share them."""
     flat = QUICK_FLAT if quick else FLAT
 
     def on(state: FitState, until: int) -> FitState:
@@ -126,13 +129,29 @@ def descend(
             state = levenberg_marquardt(problem, state, moving, flat=flat, kept_within=KEPT_WITHIN)
         return state
 
+    def all_on(states: Sequence[FitState], untils: Sequence[int]) -> list[FitState]:
+        return once.share([partial(on, state, until) for state, until in zip(states, untils, strict=True)])
+
     states = [standing_at(problem, start) for start in starts]
-    for until in (QUICK_ITERATIONS,) if quick else (QUICK_ITERATIONS, MOST_ITERATIONS):
-        hopeless = min(state.best_loss for state in states) + HOPELESS
-        tasks = [partial(on, state, until if state.best_loss <= hopeless else 0) for state in states]
-        states = once.share(tasks)
+    if not quick:
+        states = all_on(states, [PACE_FROM] * len(states))
+    before = [state.best_loss for state in states]
+    states = all_on(states, [QUICK_ITERATIONS] * len(states))
+    if not quick:
+        losses = [state.best_loss for state in states]
+        worth = _worth_more(before, losses)
+        states = all_on(states, [MOST_ITERATIONS if more else 0 for more in worth])
     best = min(states, key=lambda state: state.best_loss)
     return best.best_x, best.best_loss, sum(state.iteration for state in states)
+
+
+def _worth_more(before: Sequence[float], losses: Sequence[float]) -> list[bool]:
+    """Which starts go on: the best, and what is not hopeless and gained on the way to its loss."""
+    best = min(losses)
+    return [
+        k == losses.index(best) or (loss <= best + HOPELESS and was - loss > STANDS)
+        for k, (was, loss) in enumerate(zip(before, losses, strict=True))
+    ]
 
 
 def onward(
