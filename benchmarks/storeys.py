@@ -160,11 +160,27 @@ def main() -> None:
 @runs.minutes(8.0)
 @runs.max_time
 @click.option("--resolution", "chosen", multiple=True, type=float, help="[m]; may be given again. Default: all.")
+@click.option("--looks", "of_looks", multiple=True, type=float, help="May be given again. Default: all.")
+@click.option("--wrong", multiple=True, type=click.Choice(list(MADE)), help="May be given again. Default: all.")
 @runs.device
-def run(out: Path, jobs: int, minutes: float, max_time: float, chosen: tuple[float, ...], device: str | None) -> None:
+def run(
+    out: Path,
+    jobs: int,
+    minutes: float,
+    max_time: float,
+    chosen: tuple[float, ...],
+    of_looks: tuple[float, ...],
+    wrong: tuple[str, ...],
+    device: str | None,
+) -> None:
     """Make the runs that are not in the folder yet."""
     where = devices.resolve_device(device)
-    keys = [f"{kind}|{at:g}|{looks:g}" for at in chosen or RESOLUTIONS_M for kind in MADE for looks in LOOKS]
+    keys = [
+        f"{kind}|{at:g}|{looks:g}"
+        for looks in of_looks or LOOKS
+        for kind in wrong or MADE
+        for at in chosen or RESOLUTIONS_M
+    ]
     runs.append(
         out, keys, one_run,
         lambda row: f"{row['number']}: {answer(row)}: {row['line']}",

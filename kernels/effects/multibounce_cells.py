@@ -26,6 +26,9 @@ REACH = wp.constant(16)
 """Cells on each side that the table has."""
 NEAR = wp.constant(12)
 """Samples on each side of a field that may get a share of it."""
+LONG = wp.constant(wp.float64(0.3))
+"""Cells that a tube may have along a side, and more than it has across the line of sight by 16 rays per cell: beyond it
+the response along a tube is told by its ends."""
 
 WHOLE = wp.constant(1.0)
 FADED = wp.constant(4.0)
@@ -53,16 +56,22 @@ class ResolutionCells:
 
 @wp.struct
 class TubeFields:
-    """Fields of tubes, shape (n,): `place` x (range, azimuth) [cells], `field` [m] there, and its first moments [m].
+    """Fields of tubes, shape (n,): `place` x (range, azimuth) [cells] of the middle, and `field` [m].
 
-    `size` [m]: what the field would be if it had one phase in the whole tube.
+    `side_u`, `side_v`: by how much the place changes from end to end along both sides of a tube [cells]. `by_u`, `by_v`
+    and `by_uu`, `by_vv` [m]: first and second moments of the field over it, from -1/2 to 1/2 along these sides. `size`
+    [m]: what the field would be if it had one phase in the whole tube.
     """
 
     place: wp.array(dtype=wp.vec2d)
+    side_u: wp.array(dtype=wp.vec2d)
+    side_v: wp.array(dtype=wp.vec2d)
     size: wp.array(dtype=wp.float64)
     field: wp.array(dtype=wp.vec2d)
-    by_range: wp.array(dtype=wp.vec2d)
-    by_azimuth: wp.array(dtype=wp.vec2d)
+    by_u: wp.array(dtype=wp.vec2d)
+    by_v: wp.array(dtype=wp.vec2d)
+    by_uu: wp.array(dtype=wp.vec2d)
+    by_vv: wp.array(dtype=wp.vec2d)
 
 
 @wp.struct
@@ -97,9 +106,23 @@ def tilted(a: wp.float64) -> wp.float64:
 
 
 @wp.func
-def moment_of(change: wp.vec2d) -> wp.vec2d:
-    """The change of a field over `STEP` to either side, as a moment: its slope over 2j."""
-    return (wp.float64(0.25) / STEP) * wp.vec2d(change[1], -change[0])
+def curved(a: wp.float64) -> wp.float64:
+    """Integral of s^2 cos(2 a s) over s from -1/2 to 1/2: the second moment of a field whose phase turns by 2 a."""
+    if wp.abs(a) < wp.float64(1.0e-2):
+        return ONE / wp.float64(12.0) - a * a / wp.float64(40.0)
+    return wp.sin(a) / (wp.float64(4.0) * a) + (a * wp.cos(a) - wp.sin(a)) / (TWO * a * a * a)
+
+
+@wp.func
+def moment_of(behind: wp.vec2d, ahead: wp.vec2d) -> wp.vec2d:
+    """A field's first moment, from its values at `STEP` less and more phase: its slope over 2j."""
+    return (wp.float64(0.25) / STEP) * wp.vec2d(ahead[1] - behind[1], behind[0] - ahead[0])
+
+
+@wp.func
+def second_of(behind: wp.vec2d, middle: wp.vec2d, ahead: wp.vec2d) -> wp.vec2d:
+    """A field's second moment, from such values: its curvature over -4."""
+    return (wp.float64(-0.25) / (STEP * STEP)) * (ahead - TWO * middle + behind)
 
 
 @wp.func
@@ -107,7 +130,7 @@ def slanted(along: wp.float64, across: wp.float64, begin: wp.float64, end: wp.fl
     """Integral of exp(2j (along s + across t)) over t from -1/2 to 1/2, and s from -1/2 + begin t to 1/2 + end t."""
     first = sinc(across + along * begin)
     last = sinc(across + along * end)
-    step = tilted(across) * (begin - end)
+    step = tilted(across + HALF * along * (begin + end)) * (begin - end)
     if wp.abs(along) > wp.float64(1.0e-4):
         step = HALF * (last - first) / along
     return wp.vec2d(HALF * (first + last) * sinc(along), -step * wp.cos(along))
@@ -265,23 +288,81 @@ def tube_kernel(
     whole = slanted(at[0], at[1], begin, end)
     by_along = wp.vec2d(ZERO, tilted(at[0]) * sinc(at[1]))
     by_across = wp.vec2d(ZERO, sinc(at[0]) * tilted(at[1]))
-    if begin != ZERO or end != ZERO:  # moments are slopes of the field, over 2j
-        by_along = moment_of(slanted(at[0] + STEP, at[1], begin, end) - slanted(at[0] - STEP, at[1], begin, end))
-        by_across = moment_of(slanted(at[0], at[1] + STEP, begin, end) - slanted(at[0], at[1] - STEP, begin, end))
+    twice_along = wp.vec2d(curved(at[0]) * sinc(at[1]), ZERO)
+    twice_across = wp.vec2d(sinc(at[0]) * curved(at[1]), ZERO)
+    if begin != ZERO or end != ZERO:  # moments are slopes and curvatures of the field
+        less = slanted(at[0] - STEP, at[1], begin, end)
+        more = slanted(at[0] + STEP, at[1], begin, end)
+        by_along = moment_of(less, more)
+        twice_along = second_of(less, whole, more)
+        less = slanted(at[0], at[1] - STEP, begin, end)
+        more = slanted(at[0], at[1] + STEP, begin, end)
+        by_across = moment_of(less, more)
+        twice_across = second_of(less, whole, more)
     by_u = by_along
     by_v = by_across
+    by_uu = twice_along
+    by_vv = twice_across
     if records.ends[i][0] > 0.5:
         by_u = by_across
         by_v = by_along
+        by_uu = twice_across
+        by_vv = twice_along
+    phase = size * phase
     tubes_out.place[i] = place
-    tubes_out.size[i] = size
-    tubes_out.field[i] = size * product(whole, phase)
-    tubes_out.by_range[i] = (-size / cells.size[0]) * product(
-        wp.dot(turn, foot_u) * by_u + wp.dot(turn, foot_v) * by_v, phase
+    tubes_out.side_u[i] = wp.vec2d(
+        -wp.dot(turn, foot_u) / cells.size[0], HALF * wp.dot(u, enters_u + foot_u) / cells.size[1]
     )
-    shift_u = HALF * wp.dot(u, enters_u + foot_u)
-    shift_v = HALF * wp.dot(u, enters_v + foot_v)
-    tubes_out.by_azimuth[i] = (size / cells.size[1]) * product(shift_u * by_u + shift_v * by_v, phase)
+    tubes_out.side_v[i] = wp.vec2d(
+        -wp.dot(turn, foot_v) / cells.size[0], HALF * wp.dot(u, enters_v + foot_v) / cells.size[1]
+    )
+    tubes_out.size[i] = size
+    tubes_out.field[i] = product(whole, phase)
+    tubes_out.by_u[i] = product(by_u, phase)
+    tubes_out.by_v[i] = product(by_v, phase)
+    tubes_out.by_uu[i] = product(by_uu, phase)
+    tubes_out.by_vv[i] = product(by_vv, phase)
+
+
+@wp.struct
+class ResponseAlong:
+    """The response along a side of a tube, as a parabola: by how much it changes from end to end, its `mean` of both
+    ends, its `bend`, the factor of the square, and the `most` that middle and ends have, without their sign."""
+
+    change: wp.float64
+    mean: wp.float64
+    bend: wp.float64
+    most: wp.float64
+
+
+@wp.func
+def response_at(cells: ResolutionCells, x: wp.float64, y: wp.float64) -> wp.float64:
+    """The response at a distance (range, azimuth) [cells]."""
+    return faded(x, y)[0] * read(cells.response, 0, x)[0] * read(cells.response, 1, y)[0]
+
+
+@wp.func
+def response_along(
+    cells: ResolutionCells, x: wp.float64, y: wp.float64, side: wp.vec2d, middle: wp.float64, slope: wp.vec2d
+) -> ResponseAlong:
+    """About a middle at a distance of x, y, where the response and its slopes are known.
+
+    A tube on a wall along the line of sight is longer than a cell: there the ends tell the response, and not the
+    slopes. The phase turns fast there, so that the field comes from the ends, and tubes that touch cancel where they
+    do: in the end of one and the beginning of the next the response must be the same.
+    """
+    found = ResponseAlong()
+    found.change = wp.dot(side, slope)
+    found.mean = middle
+    found.most = wp.abs(middle)
+    if wp.max(wp.abs(side[0]), wp.abs(side[1])) > LONG:
+        ahead = response_at(cells, x + HALF * side[0], y + HALF * side[1])
+        behind = response_at(cells, x - HALF * side[0], y - HALF * side[1])
+        found.change = ahead - behind
+        found.mean = HALF * (ahead + behind)
+        found.bend = wp.float64(4.0) * (found.mean - middle)
+        found.most = wp.max(found.most, wp.max(wp.abs(ahead), wp.abs(behind)))
+    return found
 
 
 @wp.kernel(enable_backward=False)
@@ -322,30 +403,39 @@ def couple_kernel(
             across[n] = azimuth[0]
             across_slope[n] = azimuth[1]
         row = int(-NEAR)
-        straight = wp.vec2d()
-        aside = wp.vec2d()
-        along = wp.float64(0.0)
-        power = wp.float64(0.0)
+        side_u = tubes.side_u[at]
+        side_v = tubes.side_v[at]
+        field = tubes.field[at]
+        power = wp.length_sq(field)
+        along = wp.vec2d()
         for j in range(cells.offset.shape[0]):
             offset = cells.offset[j]
             if offset[0] != row:  # offsets of a row lie together
                 row = offset[0]
-                response = read(cells.response, 0, x - wp.float64(row))
-                along = response[0]
-                straight = along * tubes.field[at] + response[1] * tubes.by_range[at]
-                aside = along * tubes.by_azimuth[at]
-                power = along * along * wp.length_sq(tubes.field[at])
+                along = read(cells.response, 0, x - wp.float64(row))
             n = offset[1] + NEAR - 1
-            fade = faded(x - wp.float64(row), y - wp.float64(offset[1]))
-            share = fade[0] * along * across[n]
-            added = fade[0] * (across[n] * straight + across_slope[n] * aside) + along * across[n] * (
-                fade[1] * tubes.by_range[at] + fade[2] * tubes.by_azimuth[at]
+            dx = x - wp.float64(row)
+            dy = y - wp.float64(offset[1])
+            fade = faded(dx, dy)
+            plain = along[0] * across[n]
+            share = fade[0] * plain
+            slope = wp.vec2d(
+                fade[0] * along[1] * across[n] + fade[1] * plain, fade[0] * along[0] * across_slope[n] + fade[2] * plain
             )
+            in_u = response_along(cells, dx, dy, side_u, share, slope)
+            in_v = response_along(cells, dx, dy, side_v, share, slope)
+            added = (
+                share * field
+                + in_u.change * tubes.by_u[at]
+                + in_v.change * tubes.by_v[at]
+                + in_u.bend * tubes.by_uu[at]
+                + in_v.bend * tubes.by_vv[at]
+            )
+            moved_u = in_u.mean * tubes.by_u[at] + in_u.change * tubes.by_uu[at]
+            moved_v = in_v.mean * tubes.by_v[at] + in_v.change * tubes.by_vv[at]
             field_out[i, j] = field_out[i, j] + added
-            by_range_out[i, j] = by_range_out[i, j] + (x - wp.float64(row)) * added + share * tubes.by_range[at]
-            by_azimuth_out[i, j] = (
-                by_azimuth_out[i, j] + (y - wp.float64(offset[1])) * added + share * tubes.by_azimuth[at]
-            )
-            even_out[i, j] = even_out[i, j] + wp.abs(share) * tubes.size[at]
+            by_range_out[i, j] = by_range_out[i, j] + dx * added + side_u[0] * moved_u + side_v[0] * moved_v
+            by_azimuth_out[i, j] = by_azimuth_out[i, j] + dy * added + side_u[1] * moved_u + side_v[1] * moved_v
+            even_out[i, j] = even_out[i, j] + wp.max(in_u.most, in_v.most) * tubes.size[at]
             if loose_out.shape[0] > 0:
-                loose_out[i, j] = loose_out[i, j] + fade[0] * fade[0] * across[n] * across[n] * power
+                loose_out[i, j] = loose_out[i, j] + share * share * power

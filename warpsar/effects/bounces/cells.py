@@ -447,7 +447,7 @@ def _falls(
     whole = np.add.reduceat(part, head)
     in_phase = np.bincount(path, even * mirrored, of_path.size)
     power = np.maximum(np.abs(whole) ** 2, np.maximum(1e-12 * in_phase**2, np.finfo(float).tiny))
-    one_phase = np.minimum(_ONE_PHASE * power / np.maximum(in_phase, np.finfo(float).tiny) ** 2, 1.0)
+    one_phase = np.minimum(_ONE_PHASE * power / np.maximum(in_phase**2, np.finfo(float).tiny), 1.0)
     share = np.abs(part) ** 2 / np.maximum(np.bincount(inverse, even, keys.size), np.finfo(float).tiny)
     share = share / np.maximum(np.add.reduceat(share, head), np.finfo(float).tiny)[owner]
     rest = 1.0 - one_phase
