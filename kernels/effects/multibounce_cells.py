@@ -325,13 +325,12 @@ def tube_kernel(
 
 
 @wp.struct
-class ResponseAlong:
-    """The response along a side of a tube, as a parabola: by how much it changes from end to end, its `mean` of both
-    ends, its `bend`, the factor of the square, and the `most` that middle and ends have, without their sign."""
+class AtEnds:
+    """What the response at a tube's ends along a side changes in what it adds to a sample: its `field` and first moment
+    along this side, `moved` [m]. `most`: the response of an end, without its sign."""
 
-    change: wp.float64
-    mean: wp.float64
-    bend: wp.float64
+    field: wp.vec2d
+    moved: wp.vec2d
     most: wp.float64
 
 
@@ -342,26 +341,37 @@ def response_at(cells: ResolutionCells, x: wp.float64, y: wp.float64) -> wp.floa
 
 
 @wp.func
-def response_along(
-    cells: ResolutionCells, x: wp.float64, y: wp.float64, side: wp.vec2d, middle: wp.float64, slope: wp.vec2d
-) -> ResponseAlong:
-    """About a middle at a distance of x, y, where the response and its slopes are known.
+def is_long(side: wp.vec2d) -> bool:
+    return wp.max(wp.abs(side[0]), wp.abs(side[1])) > LONG
+
+
+@wp.func
+def at_ends(
+    cells: ResolutionCells,
+    x: wp.float64,
+    y: wp.float64,
+    side: wp.vec2d,
+    middle: wp.float64,
+    slope: wp.vec2d,
+    first: wp.vec2d,
+    second: wp.vec2d,
+) -> AtEnds:
+    """For a tube in whose middle, at a distance of x, y, the response and its slopes are known; `first` and `second`
+    are the field's moments along the side.
 
     A tube on a wall along the line of sight is longer than a cell: there the ends tell the response, and not the
     slopes. The phase turns fast there, so that the field comes from the ends, and tubes that touch cancel where they
-    do: in the end of one and the beginning of the next the response must be the same.
+    do: in the end of one and the beginning of the next the response must be the same. So it is a parabola through
+    middle and ends.
     """
-    found = ResponseAlong()
-    found.change = wp.dot(side, slope)
-    found.mean = middle
-    found.most = wp.abs(middle)
-    if wp.max(wp.abs(side[0]), wp.abs(side[1])) > LONG:
-        ahead = response_at(cells, x + HALF * side[0], y + HALF * side[1])
-        behind = response_at(cells, x - HALF * side[0], y - HALF * side[1])
-        found.change = ahead - behind
-        found.mean = HALF * (ahead + behind)
-        found.bend = wp.float64(4.0) * (found.mean - middle)
-        found.most = wp.max(found.most, wp.max(wp.abs(ahead), wp.abs(behind)))
+    ahead = response_at(cells, x + HALF * side[0], y + HALF * side[1])
+    behind = response_at(cells, x - HALF * side[0], y - HALF * side[1])
+    change = ahead - behind
+    beyond = HALF * (ahead + behind) - middle
+    found = AtEnds()
+    found.field = (change - wp.dot(side, slope)) * first + wp.float64(4.0) * beyond * second
+    found.moved = beyond * first + change * second
+    found.most = wp.max(wp.abs(ahead), wp.abs(behind))
     return found
 
 
@@ -402,40 +412,60 @@ def couple_kernel(
             azimuth = read(cells.response, 1, y - wp.float64(n + 1 - NEAR))
             across[n] = azimuth[0]
             across_slope[n] = azimuth[1]
-        row = int(-NEAR)
         side_u = tubes.side_u[at]
         side_v = tubes.side_v[at]
         field = tubes.field[at]
-        power = wp.length_sq(field)
-        along = wp.vec2d()
+        by_range = side_u[0] * tubes.by_u[at] + side_v[0] * tubes.by_v[at]
+        by_azimuth = side_u[1] * tubes.by_u[at] + side_v[1] * tubes.by_v[at]
+        long_u = is_long(side_u)
+        long_v = is_long(side_v)
+        row = int(-NEAR)
+        response = wp.vec2d()
+        straight = wp.vec2d()
+        aside = wp.vec2d()
+        power = wp.float64(0.0)
         for j in range(cells.offset.shape[0]):
             offset = cells.offset[j]
             if offset[0] != row:  # offsets of a row lie together
                 row = offset[0]
-                along = read(cells.response, 0, x - wp.float64(row))
+                response = read(cells.response, 0, x - wp.float64(row))
+                straight = response[0] * field + response[1] * by_range
+                aside = response[0] * by_azimuth
+                power = response[0] * response[0] * wp.length_sq(field)
             n = offset[1] + NEAR - 1
             dx = x - wp.float64(row)
             dy = y - wp.float64(offset[1])
             fade = faded(dx, dy)
-            plain = along[0] * across[n]
+            plain = response[0] * across[n]
             share = fade[0] * plain
-            slope = wp.vec2d(
-                fade[0] * along[1] * across[n] + fade[1] * plain, fade[0] * along[0] * across_slope[n] + fade[2] * plain
+            most = wp.abs(share)
+            added = fade[0] * (across[n] * straight + across_slope[n] * aside) + plain * (
+                fade[1] * by_range + fade[2] * by_azimuth
             )
-            in_u = response_along(cells, dx, dy, side_u, share, slope)
-            in_v = response_along(cells, dx, dy, side_v, share, slope)
-            added = (
-                share * field
-                + in_u.change * tubes.by_u[at]
-                + in_v.change * tubes.by_v[at]
-                + in_u.bend * tubes.by_uu[at]
-                + in_v.bend * tubes.by_vv[at]
-            )
-            moved_u = in_u.mean * tubes.by_u[at] + in_u.change * tubes.by_uu[at]
-            moved_v = in_v.mean * tubes.by_v[at] + in_v.change * tubes.by_vv[at]
+            moved_u = wp.vec2d()
+            moved_v = wp.vec2d()
+            if long_u or long_v:
+                slope = wp.vec2d(
+                    fade[0] * response[1] * across[n] + fade[1] * plain,
+                    fade[0] * response[0] * across_slope[n] + fade[2] * plain,
+                )
+                if long_u:
+                    ends = at_ends(cells, dx, dy, side_u, share, slope, tubes.by_u[at], tubes.by_uu[at])
+                    added += ends.field
+                    moved_u = ends.moved
+                    most = wp.max(most, ends.most)
+                if long_v:
+                    ends = at_ends(cells, dx, dy, side_v, share, slope, tubes.by_v[at], tubes.by_vv[at])
+                    added += ends.field
+                    moved_v = ends.moved
+                    most = wp.max(most, ends.most)
             field_out[i, j] = field_out[i, j] + added
-            by_range_out[i, j] = by_range_out[i, j] + dx * added + side_u[0] * moved_u + side_v[0] * moved_v
-            by_azimuth_out[i, j] = by_azimuth_out[i, j] + dy * added + side_u[1] * moved_u + side_v[1] * moved_v
-            even_out[i, j] = even_out[i, j] + wp.max(in_u.most, in_v.most) * tubes.size[at]
+            by_range_out[i, j] = (
+                by_range_out[i, j] + dx * added + share * by_range + side_u[0] * moved_u + side_v[0] * moved_v
+            )
+            by_azimuth_out[i, j] = (
+                by_azimuth_out[i, j] + dy * added + share * by_azimuth + side_u[1] * moved_u + side_v[1] * moved_v
+            )
+            even_out[i, j] = even_out[i, j] + most * tubes.size[at]
             if loose_out.shape[0] > 0:
-                loose_out[i, j] = loose_out[i, j] + share * share * power
+                loose_out[i, j] = loose_out[i, j] + fade[0] * fade[0] * across[n] * across[n] * power
