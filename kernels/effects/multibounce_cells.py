@@ -26,6 +26,8 @@ REACH = wp.constant(16)
 """Cells on each side that the table has."""
 NEAR = wp.constant(12)
 """Samples on each side of a field that may get a share of it."""
+EVEN = wp.constant(32)
+"""Places in a cell along each axis in the table of what makes all shares' squares add up to 1."""
 LONG = wp.constant(wp.float64(0.3))
 """Cells that a tube may have along a side, and more than it has across the line of sight by 16 rays per cell: beyond it
 the response along a tube is told by its ends."""
@@ -43,7 +45,8 @@ class ResolutionCells:
     """Cells of `size` (range, azimuth) [m] about the reference point, and the bins of the records among them.
 
     `offset`: the samples about a bin that get a share of a field in it. `response`: (2, 2 REACH STEPS + 1), of range
-    and azimuth, each with its derivative [1/cells].
+    and azimuth, each with its derivatives [1/cells, 1/cells^2]. `even`: (EVEN + 1, EVEN + 1), the factor by which the
+    shares of a field at a place in a cell, from edge to edge, get squares of sum 1.
     """
 
     size: wp.vec2d
@@ -51,7 +54,8 @@ class ResolutionCells:
     bin_size: wp.vec2d  # [m]
     bin_cols: int
     offset: wp.array(dtype=wp.vec2i)
-    response: wp.array2d(dtype=wp.vec2d)
+    response: wp.array2d(dtype=wp.vec3d)
+    even: wp.array2d(dtype=wp.float64)
 
 
 @wp.struct
@@ -153,12 +157,12 @@ def footprint(side: wp.vec3d, normal: wp.vec3d, direction: wp.vec3d) -> wp.vec3d
 
 
 @wp.func
-def read(table: wp.array2d(dtype=wp.vec2d), axis: int, distance: wp.float64) -> wp.vec2d:
-    """The response at a distance [cells], and its derivative; 0 beyond the table."""
+def read(table: wp.array2d(dtype=wp.vec3d), axis: int, distance: wp.float64) -> wp.vec3d:
+    """The response at a distance [cells], and its derivatives; 0 beyond the table."""
     at = (distance + wp.float64(REACH)) * wp.float64(STEPS)
     low = int(wp.floor(at))
     if low < 0 or low + 1 >= table.shape[1]:
-        return wp.vec2d()
+        return wp.vec3d()
     part = at - wp.float64(low)
     return (ONE - part) * table[axis, low] + part * table[axis, low + 1]
 
@@ -180,6 +184,28 @@ def faded(x: wp.float64, y: wp.float64) -> wp.vec3d:
     )
 
 
+@wp.func
+def evened(cells: ResolutionCells, place: wp.vec2d) -> wp.float64:
+    """`ResolutionCells.even` at a place [cells]."""
+    x = (place[0] - wp.floor(place[0])) * wp.float64(EVEN)
+    y = (place[1] - wp.floor(place[1])) * wp.float64(EVEN)
+    row = wp.min(int(wp.floor(x)), int(EVEN) - 1)
+    col = wp.min(int(wp.floor(y)), int(EVEN) - 1)
+    down = x - wp.float64(row)
+    across = y - wp.float64(col)
+    near = (ONE - across) * cells.even[row, col] + across * cells.even[row, col + 1]
+    far = (ONE - across) * cells.even[row + 1, col] + across * cells.even[row + 1, col + 1]
+    return (ONE - down) * near + down * far
+
+
+@wp.func
+def evenness(cells: ResolutionCells, place: wp.vec2d, side: wp.vec2d, middle: wp.float64) -> wp.vec2d:
+    """The change of `evened` along a side of a tube, and the factor of the square: a parabola through both ends."""
+    ahead = evened(cells, place + HALF * side)
+    behind = evened(cells, place - HALF * side)
+    return wp.vec2d(ahead - behind, TWO * (ahead + behind - TWO * middle))
+
+
 @wp.kernel(enable_backward=False)
 def tube_kernel(
     # In:
@@ -193,7 +219,7 @@ def tube_kernel(
 ):
     """Follow each tube once more along the planes of its faces, in double precision: its phase needs it.
 
-    The shares of a field in the samples that are kept have the squares' sum 1.
+    The shares of a field in the samples that are kept have the squares' sum 1 (`ResolutionCells.even`).
     """
     i = wp.tid()
     d = wp.vec3d(grid.d)
@@ -262,23 +288,7 @@ def tube_kernel(
     turn_u = wavenumber * wp.dot(turn, foot_u)
     turn_v = wavenumber * wp.dot(turn, foot_v)
     place = wp.vec2d(along / cells.size[0], azimuth / cells.size[1])
-    base = cell_of(cells, records.bin[i])
-    near_range = along_an_axis()
-    near_azimuth = along_an_axis()
-    for n in range(2 * NEAR):
-        ahead = wp.float64(n + 1 - NEAR)
-        near_range[n] = read(cells.response, 0, place[0] - wp.float64(base[0]) - ahead)[0]
-        near_azimuth[n] = read(cells.response, 1, place[1] - wp.float64(base[1]) - ahead)[0]
-    total = wp.float64(0.0)
-    for j in range(cells.offset.shape[0]):
-        offset = cells.offset[j]
-        fade = faded(
-            place[0] - wp.float64(base[0]) - wp.float64(offset[0]),
-            place[1] - wp.float64(base[1]) - wp.float64(offset[1]),
-        )
-        share = fade[0] * near_range[offset[0] + NEAR - 1] * near_azimuth[offset[1] + NEAR - 1]
-        total += share * share
-    size = wavenumber / FOUR_PI * area / wp.sqrt(wp.max(total, wp.float64(1.0e-3)))
+    size = wavenumber / FOUR_PI * area
     phase = turned(-TWO * wavenumber * along)
     at = wp.vec2d(turn_u, turn_v)
     if records.ends[i][0] > 0.5:
@@ -309,19 +319,25 @@ def tube_kernel(
         by_uu = twice_across
         by_vv = twice_along
     phase = size * phase
+    long_u = wp.vec2d(-wp.dot(turn, foot_u) / cells.size[0], HALF * wp.dot(u, enters_u + foot_u) / cells.size[1])
+    long_v = wp.vec2d(-wp.dot(turn, foot_v) / cells.size[0], HALF * wp.dot(u, enters_v + foot_v) / cells.size[1])
+    # the factor changes over the tube, and moments of the third and fourth order are a quarter of those of the first
+    # and second where phases turn fast, as they come from the ends
+    even = evened(cells, place)
+    even_u = evenness(cells, place, long_u, even)
+    even_v = evenness(cells, place, long_v, even)
+    quarter = wp.float64(0.25)
     tubes_out.place[i] = place
-    tubes_out.side_u[i] = wp.vec2d(
-        -wp.dot(turn, foot_u) / cells.size[0], HALF * wp.dot(u, enters_u + foot_u) / cells.size[1]
+    tubes_out.side_u[i] = long_u
+    tubes_out.side_v[i] = long_v
+    tubes_out.size[i] = even * size
+    tubes_out.field[i] = product(
+        even * whole + even_u[0] * by_u + even_u[1] * by_uu + even_v[0] * by_v + even_v[1] * by_vv, phase
     )
-    tubes_out.side_v[i] = wp.vec2d(
-        -wp.dot(turn, foot_v) / cells.size[0], HALF * wp.dot(u, enters_v + foot_v) / cells.size[1]
-    )
-    tubes_out.size[i] = size
-    tubes_out.field[i] = product(whole, phase)
-    tubes_out.by_u[i] = product(by_u, phase)
-    tubes_out.by_v[i] = product(by_v, phase)
-    tubes_out.by_uu[i] = product(by_uu, phase)
-    tubes_out.by_vv[i] = product(by_vv, phase)
+    tubes_out.by_u[i] = product((even + quarter * even_u[1]) * by_u + even_u[0] * by_uu, phase)
+    tubes_out.by_v[i] = product((even + quarter * even_v[1]) * by_v + even_v[0] * by_vv, phase)
+    tubes_out.by_uu[i] = product((even + quarter * even_u[1]) * by_uu + quarter * even_u[0] * by_u, phase)
+    tubes_out.by_vv[i] = product((even + quarter * even_v[1]) * by_vv + quarter * even_v[0] * by_v, phase)
 
 
 @wp.struct
@@ -375,6 +391,16 @@ def at_ends(
     return found
 
 
+@wp.func
+def fading(x: wp.float64, y: wp.float64) -> wp.vec3d:
+    """Second derivatives of `faded`, where it fades: along x, along x and y, and along y."""
+    width = wp.float64(FADED) - wp.float64(WHOLE)
+    part = (wp.float64(FADED) - wp.abs(x * y)) / width
+    slope = wp.float64(-6.0) * part * (ONE - part) / width
+    bend = wp.float64(6.0) * (ONE - TWO * part) / (width * width)
+    return wp.vec3d(bend * y * y, wp.sign(x) * wp.sign(y) * slope + bend * x * y, bend * x * x)
+
+
 @wp.kernel(enable_backward=False)
 def couple_kernel(
     # In:
@@ -404,6 +430,7 @@ def couple_kernel(
     base = cell_of(cells, bin[i])
     across = along_an_axis()
     across_slope = along_an_axis()
+    across_bend = along_an_axis()
     for k in range(first[i], end):
         at = order[k]
         x = tubes.place[at][0] - wp.float64(base[0])
@@ -412,6 +439,7 @@ def couple_kernel(
             azimuth = read(cells.response, 1, y - wp.float64(n + 1 - NEAR))
             across[n] = azimuth[0]
             across_slope[n] = azimuth[1]
+            across_bend[n] = azimuth[2]
         side_u = tubes.side_u[at]
         side_v = tubes.side_v[at]
         field = tubes.field[at]
@@ -419,18 +447,31 @@ def couple_kernel(
         by_azimuth = side_u[1] * tubes.by_u[at] + side_v[1] * tubes.by_v[at]
         long_u = is_long(side_u)
         long_v = is_long(side_v)
+        twice_range = wp.vec2d()
+        twice = wp.vec2d()
+        twice_azimuth = wp.vec2d()
+        if not long_u:
+            twice_range += HALF * side_u[0] * side_u[0] * tubes.by_uu[at]
+            twice += side_u[0] * side_u[1] * tubes.by_uu[at]
+            twice_azimuth += HALF * side_u[1] * side_u[1] * tubes.by_uu[at]
+        if not long_v:
+            twice_range += HALF * side_v[0] * side_v[0] * tubes.by_vv[at]
+            twice += side_v[0] * side_v[1] * tubes.by_vv[at]
+            twice_azimuth += HALF * side_v[1] * side_v[1] * tubes.by_vv[at]
         row = int(-NEAR)
-        response = wp.vec2d()
+        response = wp.vec3d()
         straight = wp.vec2d()
         aside = wp.vec2d()
+        bent = wp.vec2d()
         power = wp.float64(0.0)
         for j in range(cells.offset.shape[0]):
             offset = cells.offset[j]
             if offset[0] != row:  # offsets of a row lie together
                 row = offset[0]
                 response = read(cells.response, 0, x - wp.float64(row))
-                straight = response[0] * field + response[1] * by_range
-                aside = response[0] * by_azimuth
+                straight = response[0] * field + response[1] * by_range + response[2] * twice_range
+                aside = response[0] * by_azimuth + response[1] * twice
+                bent = response[0] * twice_azimuth
                 power = response[0] * response[0] * wp.length_sq(field)
             n = offset[1] + NEAR - 1
             dx = x - wp.float64(row)
@@ -439,9 +480,17 @@ def couple_kernel(
             plain = response[0] * across[n]
             share = fade[0] * plain
             most = wp.abs(share)
-            added = fade[0] * (across[n] * straight + across_slope[n] * aside) + plain * (
+            added = fade[0] * (across[n] * straight + across_slope[n] * aside + across_bend[n] * bent) + plain * (
                 fade[1] * by_range + fade[2] * by_azimuth
             )
+            if fade[0] > ZERO and fade[0] < ONE:
+                bend = fading(dx, dy)
+                added += (
+                    (bend[0] * plain + TWO * fade[1] * response[1] * across[n]) * twice_range
+                    + (bend[1] * plain + fade[1] * response[0] * across_slope[n] + fade[2] * response[1] * across[n])
+                    * twice
+                    + (bend[2] * plain + TWO * fade[2] * response[0] * across_slope[n]) * twice_azimuth
+                )
             moved_u = wp.vec2d()
             moved_v = wp.vec2d()
             if long_u or long_v:
