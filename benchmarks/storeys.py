@@ -192,7 +192,7 @@ def run(
 @runs.out
 @runs.write
 def table(out: Path, write: bool) -> None:
-    """What was answered, and what there is to be found."""
+    """What was answered, and what there is to be found; rows without a run are left out."""
     rows = {row["number"]: row for row in runs.stored(out)}
     body = []
     for kind in MADE:
@@ -200,8 +200,9 @@ def table(out: Path, write: bool) -> None:
             line = [kind, f"{looks:g}"]
             for at in RESOLUTIONS_M:
                 row = rows.get(f"{kind}|{at:g}|{looks:g}")
-                line.append("" if row is None else f"{answer(row)} ({row['there']:.0f})")
-            body.append(line)
+                line.append("not run" if row is None else f"{answer(row)} ({row['there']:.0f})")
+            if any(f"{kind}|{at:g}|{looks:g}" in rows for at in RESOLUTIONS_M):
+                body.append(line)
     head = ["wrong", "looks", *(f"{at:g} m" for at in RESOLUTIONS_M)]
     tables.publish({"storeys": tables.markdown(head, body)}, runs.oldest(rows.values()), write)
 
