@@ -319,17 +319,17 @@ def tube_kernel(
         by_uu = twice_across
         by_vv = twice_along
     phase = size * phase
-    long_u = wp.vec2d(-wp.dot(turn, foot_u) / cells.size[0], HALF * wp.dot(u, enters_u + foot_u) / cells.size[1])
-    long_v = wp.vec2d(-wp.dot(turn, foot_v) / cells.size[0], HALF * wp.dot(u, enters_v + foot_v) / cells.size[1])
+    moved_u = wp.vec2d(-wp.dot(turn, foot_u) / cells.size[0], HALF * wp.dot(u, enters_u + foot_u) / cells.size[1])
+    moved_v = wp.vec2d(-wp.dot(turn, foot_v) / cells.size[0], HALF * wp.dot(u, enters_v + foot_v) / cells.size[1])
     # the factor changes over the tube, and moments of the third and fourth order are a quarter of those of the first
     # and second where phases turn fast, as they come from the ends
     even = evened(cells, place)
-    even_u = evenness(cells, place, long_u, even)
-    even_v = evenness(cells, place, long_v, even)
+    even_u = evenness(cells, place, moved_u, even)
+    even_v = evenness(cells, place, moved_v, even)
     quarter = wp.float64(0.25)
     tubes_out.place[i] = place
-    tubes_out.side_u[i] = long_u
-    tubes_out.side_v[i] = long_v
+    tubes_out.side_u[i] = moved_u
+    tubes_out.side_v[i] = moved_v
     tubes_out.size[i] = even * size
     tubes_out.field[i] = product(
         even * whole + even_u[0] * by_u + even_u[1] * by_uu + even_v[0] * by_v + even_v[1] * by_vv, phase
