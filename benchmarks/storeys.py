@@ -160,11 +160,27 @@ def main() -> None:
 @runs.minutes(8.0)
 @runs.max_time
 @click.option("--resolution", "chosen", multiple=True, type=float, help="[m]; may be given again. Default: all.")
+@click.option("--looks", "of_looks", multiple=True, type=float, help="May be given again. Default: all.")
+@click.option("--wrong", multiple=True, type=click.Choice(list(MADE)), help="May be given again. Default: all.")
 @runs.device
-def run(out: Path, jobs: int, minutes: float, max_time: float, chosen: tuple[float, ...], device: str | None) -> None:
+def run(
+    out: Path,
+    jobs: int,
+    minutes: float,
+    max_time: float,
+    chosen: tuple[float, ...],
+    of_looks: tuple[float, ...],
+    wrong: tuple[str, ...],
+    device: str | None,
+) -> None:
     """Make the runs that are not in the folder yet."""
     where = devices.resolve_device(device)
-    keys = [f"{kind}|{at:g}|{looks:g}" for at in chosen or RESOLUTIONS_M for kind in MADE for looks in LOOKS]
+    keys = [
+        f"{kind}|{at:g}|{looks:g}"
+        for looks in of_looks or LOOKS
+        for kind in wrong or MADE
+        for at in chosen or RESOLUTIONS_M
+    ]
     runs.append(
         out, keys, one_run,
         lambda row: f"{row['number']}: {answer(row)}: {row['line']}",
@@ -176,7 +192,7 @@ def run(out: Path, jobs: int, minutes: float, max_time: float, chosen: tuple[flo
 @runs.out
 @runs.write
 def table(out: Path, write: bool) -> None:
-    """What was answered, and what there is to be found."""
+    """What was answered, and what there is to be found; rows without a run are left out."""
     rows = {row["number"]: row for row in runs.stored(out)}
     body = []
     for kind in MADE:
@@ -184,8 +200,9 @@ def table(out: Path, write: bool) -> None:
             line = [kind, f"{looks:g}"]
             for at in RESOLUTIONS_M:
                 row = rows.get(f"{kind}|{at:g}|{looks:g}")
-                line.append("" if row is None else f"{answer(row)} ({row['there']:.0f})")
-            body.append(line)
+                line.append("not run" if row is None else f"{answer(row)} ({row['there']:.0f})")
+            if any(f"{kind}|{at:g}|{looks:g}" in rows for at in RESOLUTIONS_M):
+                body.append(line)
     head = ["wrong", "looks", *(f"{at:g} m" for at in RESOLUTIONS_M)]
     tables.publish({"storeys": tables.markdown(head, body)}, runs.oldest(rows.values()), write)
 

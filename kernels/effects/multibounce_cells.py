@@ -26,6 +26,11 @@ REACH = wp.constant(16)
 """Cells on each side that the table has."""
 NEAR = wp.constant(12)
 """Samples on each side of a field that may get a share of it."""
+EVEN = wp.constant(32)
+"""Places in a cell along each axis in the table of what makes all shares' squares add up to 1."""
+LONG = wp.constant(wp.float64(0.3))
+"""Cells that a tube may have along a side, and more than it has across the line of sight by 16 rays per cell: beyond it
+the response along a tube is told by its ends."""
 
 WHOLE = wp.constant(1.0)
 FADED = wp.constant(4.0)
@@ -40,7 +45,8 @@ class ResolutionCells:
     """Cells of `size` (range, azimuth) [m] about the reference point, and the bins of the records among them.
 
     `offset`: the samples about a bin that get a share of a field in it. `response`: (2, 2 REACH STEPS + 1), of range
-    and azimuth, each with its derivative [1/cells].
+    and azimuth, each with its derivatives [1/cells, 1/cells^2]. `even`: (EVEN + 1, EVEN + 1), the factor by which the
+    shares of a field at a place in a cell, from edge to edge, get squares of sum 1.
     """
 
     size: wp.vec2d
@@ -48,21 +54,28 @@ class ResolutionCells:
     bin_size: wp.vec2d  # [m]
     bin_cols: int
     offset: wp.array(dtype=wp.vec2i)
-    response: wp.array2d(dtype=wp.vec2d)
+    response: wp.array2d(dtype=wp.vec3d)
+    even: wp.array2d(dtype=wp.float64)
 
 
 @wp.struct
 class TubeFields:
-    """Fields of tubes, shape (n,): `place` x (range, azimuth) [cells], `field` [m] there, and its first moments [m].
+    """Fields of tubes, shape (n,): `place` x (range, azimuth) [cells] of the middle, and `field` [m].
 
-    `size` [m]: what the field would be if it had one phase in the whole tube.
+    `side_u`, `side_v`: by how much the place changes from end to end along both sides of a tube [cells]. `by_u`, `by_v`
+    and `by_uu`, `by_vv` [m]: first and second moments of the field over it, from -1/2 to 1/2 along these sides. `size`
+    [m]: what the field would be if it had one phase in the whole tube.
     """
 
     place: wp.array(dtype=wp.vec2d)
+    side_u: wp.array(dtype=wp.vec2d)
+    side_v: wp.array(dtype=wp.vec2d)
     size: wp.array(dtype=wp.float64)
     field: wp.array(dtype=wp.vec2d)
-    by_range: wp.array(dtype=wp.vec2d)
-    by_azimuth: wp.array(dtype=wp.vec2d)
+    by_u: wp.array(dtype=wp.vec2d)
+    by_v: wp.array(dtype=wp.vec2d)
+    by_uu: wp.array(dtype=wp.vec2d)
+    by_vv: wp.array(dtype=wp.vec2d)
 
 
 @wp.struct
@@ -97,9 +110,23 @@ def tilted(a: wp.float64) -> wp.float64:
 
 
 @wp.func
-def moment_of(change: wp.vec2d) -> wp.vec2d:
-    """The change of a field over `STEP` to either side, as a moment: its slope over 2j."""
-    return (wp.float64(0.25) / STEP) * wp.vec2d(change[1], -change[0])
+def curved(a: wp.float64) -> wp.float64:
+    """Integral of s^2 cos(2 a s) over s from -1/2 to 1/2: the second moment of a field whose phase turns by 2 a."""
+    if wp.abs(a) < wp.float64(1.0e-2):
+        return ONE / wp.float64(12.0) - a * a / wp.float64(40.0)
+    return wp.sin(a) / (wp.float64(4.0) * a) + (a * wp.cos(a) - wp.sin(a)) / (TWO * a * a * a)
+
+
+@wp.func
+def moment_of(behind: wp.vec2d, ahead: wp.vec2d) -> wp.vec2d:
+    """A field's first moment, from its values at `STEP` less and more phase: its slope over 2j."""
+    return (wp.float64(0.25) / STEP) * wp.vec2d(ahead[1] - behind[1], behind[0] - ahead[0])
+
+
+@wp.func
+def second_of(behind: wp.vec2d, middle: wp.vec2d, ahead: wp.vec2d) -> wp.vec2d:
+    """A field's second moment, from such values: its curvature over -4."""
+    return (wp.float64(-0.25) / (STEP * STEP)) * (ahead - TWO * middle + behind)
 
 
 @wp.func
@@ -107,7 +134,7 @@ def slanted(along: wp.float64, across: wp.float64, begin: wp.float64, end: wp.fl
     """Integral of exp(2j (along s + across t)) over t from -1/2 to 1/2, and s from -1/2 + begin t to 1/2 + end t."""
     first = sinc(across + along * begin)
     last = sinc(across + along * end)
-    step = tilted(across) * (begin - end)
+    step = tilted(across + HALF * along * (begin + end)) * (begin - end)
     if wp.abs(along) > wp.float64(1.0e-4):
         step = HALF * (last - first) / along
     return wp.vec2d(HALF * (first + last) * sinc(along), -step * wp.cos(along))
@@ -130,12 +157,12 @@ def footprint(side: wp.vec3d, normal: wp.vec3d, direction: wp.vec3d) -> wp.vec3d
 
 
 @wp.func
-def read(table: wp.array2d(dtype=wp.vec2d), axis: int, distance: wp.float64) -> wp.vec2d:
-    """The response at a distance [cells], and its derivative; 0 beyond the table."""
+def read(table: wp.array2d(dtype=wp.vec3d), axis: int, distance: wp.float64) -> wp.vec3d:
+    """The response at a distance [cells], and its derivatives; 0 beyond the table."""
     at = (distance + wp.float64(REACH)) * wp.float64(STEPS)
     low = int(wp.floor(at))
     if low < 0 or low + 1 >= table.shape[1]:
-        return wp.vec2d()
+        return wp.vec3d()
     part = at - wp.float64(low)
     return (ONE - part) * table[axis, low] + part * table[axis, low + 1]
 
@@ -157,6 +184,28 @@ def faded(x: wp.float64, y: wp.float64) -> wp.vec3d:
     )
 
 
+@wp.func
+def evened(cells: ResolutionCells, place: wp.vec2d) -> wp.float64:
+    """`ResolutionCells.even` at a place [cells]."""
+    x = (place[0] - wp.floor(place[0])) * wp.float64(EVEN)
+    y = (place[1] - wp.floor(place[1])) * wp.float64(EVEN)
+    row = wp.min(int(wp.floor(x)), int(EVEN) - 1)
+    col = wp.min(int(wp.floor(y)), int(EVEN) - 1)
+    down = x - wp.float64(row)
+    across = y - wp.float64(col)
+    near = (ONE - across) * cells.even[row, col] + across * cells.even[row, col + 1]
+    far = (ONE - across) * cells.even[row + 1, col] + across * cells.even[row + 1, col + 1]
+    return (ONE - down) * near + down * far
+
+
+@wp.func
+def evenness(cells: ResolutionCells, place: wp.vec2d, side: wp.vec2d, middle: wp.float64) -> wp.vec2d:
+    """The change of `evened` along a side of a tube, and the factor of the square: a parabola through both ends."""
+    ahead = evened(cells, place + HALF * side)
+    behind = evened(cells, place - HALF * side)
+    return wp.vec2d(ahead - behind, TWO * (ahead + behind - TWO * middle))
+
+
 @wp.kernel(enable_backward=False)
 def tube_kernel(
     # In:
@@ -170,7 +219,7 @@ def tube_kernel(
 ):
     """Follow each tube once more along the planes of its faces, in double precision: its phase needs it.
 
-    The shares of a field in the samples that are kept have the squares' sum 1.
+    The shares of a field in the samples that are kept have the squares' sum 1 (`ResolutionCells.even`).
     """
     i = wp.tid()
     d = wp.vec3d(grid.d)
@@ -239,23 +288,7 @@ def tube_kernel(
     turn_u = wavenumber * wp.dot(turn, foot_u)
     turn_v = wavenumber * wp.dot(turn, foot_v)
     place = wp.vec2d(along / cells.size[0], azimuth / cells.size[1])
-    base = cell_of(cells, records.bin[i])
-    near_range = along_an_axis()
-    near_azimuth = along_an_axis()
-    for n in range(2 * NEAR):
-        ahead = wp.float64(n + 1 - NEAR)
-        near_range[n] = read(cells.response, 0, place[0] - wp.float64(base[0]) - ahead)[0]
-        near_azimuth[n] = read(cells.response, 1, place[1] - wp.float64(base[1]) - ahead)[0]
-    total = wp.float64(0.0)
-    for j in range(cells.offset.shape[0]):
-        offset = cells.offset[j]
-        fade = faded(
-            place[0] - wp.float64(base[0]) - wp.float64(offset[0]),
-            place[1] - wp.float64(base[1]) - wp.float64(offset[1]),
-        )
-        share = fade[0] * near_range[offset[0] + NEAR - 1] * near_azimuth[offset[1] + NEAR - 1]
-        total += share * share
-    size = wavenumber / FOUR_PI * area / wp.sqrt(wp.max(total, wp.float64(1.0e-3)))
+    size = wavenumber / FOUR_PI * area
     phase = turned(-TWO * wavenumber * along)
     at = wp.vec2d(turn_u, turn_v)
     if records.ends[i][0] > 0.5:
@@ -265,23 +298,107 @@ def tube_kernel(
     whole = slanted(at[0], at[1], begin, end)
     by_along = wp.vec2d(ZERO, tilted(at[0]) * sinc(at[1]))
     by_across = wp.vec2d(ZERO, sinc(at[0]) * tilted(at[1]))
-    if begin != ZERO or end != ZERO:  # moments are slopes of the field, over 2j
-        by_along = moment_of(slanted(at[0] + STEP, at[1], begin, end) - slanted(at[0] - STEP, at[1], begin, end))
-        by_across = moment_of(slanted(at[0], at[1] + STEP, begin, end) - slanted(at[0], at[1] - STEP, begin, end))
+    twice_along = wp.vec2d(curved(at[0]) * sinc(at[1]), ZERO)
+    twice_across = wp.vec2d(sinc(at[0]) * curved(at[1]), ZERO)
+    if begin != ZERO or end != ZERO:  # moments are slopes and curvatures of the field
+        less = slanted(at[0] - STEP, at[1], begin, end)
+        more = slanted(at[0] + STEP, at[1], begin, end)
+        by_along = moment_of(less, more)
+        twice_along = second_of(less, whole, more)
+        less = slanted(at[0], at[1] - STEP, begin, end)
+        more = slanted(at[0], at[1] + STEP, begin, end)
+        by_across = moment_of(less, more)
+        twice_across = second_of(less, whole, more)
     by_u = by_along
     by_v = by_across
+    by_uu = twice_along
+    by_vv = twice_across
     if records.ends[i][0] > 0.5:
         by_u = by_across
         by_v = by_along
+        by_uu = twice_across
+        by_vv = twice_along
+    phase = size * phase
+    moved_u = wp.vec2d(-wp.dot(turn, foot_u) / cells.size[0], HALF * wp.dot(u, enters_u + foot_u) / cells.size[1])
+    moved_v = wp.vec2d(-wp.dot(turn, foot_v) / cells.size[0], HALF * wp.dot(u, enters_v + foot_v) / cells.size[1])
+    # the factor changes over the tube, and moments of the third and fourth order are a quarter of those of the first
+    # and second where phases turn fast, as they come from the ends
+    even = evened(cells, place)
+    even_u = evenness(cells, place, moved_u, even)
+    even_v = evenness(cells, place, moved_v, even)
+    quarter = wp.float64(0.25)
     tubes_out.place[i] = place
-    tubes_out.size[i] = size
-    tubes_out.field[i] = size * product(whole, phase)
-    tubes_out.by_range[i] = (-size / cells.size[0]) * product(
-        wp.dot(turn, foot_u) * by_u + wp.dot(turn, foot_v) * by_v, phase
+    tubes_out.side_u[i] = moved_u
+    tubes_out.side_v[i] = moved_v
+    tubes_out.size[i] = even * size
+    tubes_out.field[i] = product(
+        even * whole + even_u[0] * by_u + even_u[1] * by_uu + even_v[0] * by_v + even_v[1] * by_vv, phase
     )
-    shift_u = HALF * wp.dot(u, enters_u + foot_u)
-    shift_v = HALF * wp.dot(u, enters_v + foot_v)
-    tubes_out.by_azimuth[i] = (size / cells.size[1]) * product(shift_u * by_u + shift_v * by_v, phase)
+    tubes_out.by_u[i] = product((even + quarter * even_u[1]) * by_u + even_u[0] * by_uu, phase)
+    tubes_out.by_v[i] = product((even + quarter * even_v[1]) * by_v + even_v[0] * by_vv, phase)
+    tubes_out.by_uu[i] = product((even + quarter * even_u[1]) * by_uu + quarter * even_u[0] * by_u, phase)
+    tubes_out.by_vv[i] = product((even + quarter * even_v[1]) * by_vv + quarter * even_v[0] * by_v, phase)
+
+
+@wp.struct
+class AtEnds:
+    """What the response at a tube's ends along a side changes in what it adds to a sample: its `field` and first moment
+    along this side, `moved` [m]. `most`: the response of an end, without its sign."""
+
+    field: wp.vec2d
+    moved: wp.vec2d
+    most: wp.float64
+
+
+@wp.func
+def response_at(cells: ResolutionCells, x: wp.float64, y: wp.float64) -> wp.float64:
+    """The response at a distance (range, azimuth) [cells]."""
+    return faded(x, y)[0] * read(cells.response, 0, x)[0] * read(cells.response, 1, y)[0]
+
+
+@wp.func
+def is_long(side: wp.vec2d) -> bool:
+    return wp.max(wp.abs(side[0]), wp.abs(side[1])) > LONG
+
+
+@wp.func
+def at_ends(
+    cells: ResolutionCells,
+    x: wp.float64,
+    y: wp.float64,
+    side: wp.vec2d,
+    middle: wp.float64,
+    slope: wp.vec2d,
+    first: wp.vec2d,
+    second: wp.vec2d,
+) -> AtEnds:
+    """For a tube in whose middle, at a distance of x, y, the response and its slopes are known; `first` and `second`
+    are the field's moments along the side.
+
+    A tube on a wall along the line of sight is longer than a cell: there the ends tell the response, and not the
+    slopes. The phase turns fast there, so that the field comes from the ends, and tubes that touch cancel where they
+    do: in the end of one and the beginning of the next the response must be the same. So it is a parabola through
+    middle and ends.
+    """
+    ahead = response_at(cells, x + HALF * side[0], y + HALF * side[1])
+    behind = response_at(cells, x - HALF * side[0], y - HALF * side[1])
+    change = ahead - behind
+    beyond = HALF * (ahead + behind) - middle
+    found = AtEnds()
+    found.field = (change - wp.dot(side, slope)) * first + wp.float64(4.0) * beyond * second
+    found.moved = beyond * first + change * second
+    found.most = wp.max(wp.abs(ahead), wp.abs(behind))
+    return found
+
+
+@wp.func
+def fading(x: wp.float64, y: wp.float64) -> wp.vec3d:
+    """Second derivatives of `faded`, where it fades: along x, along x and y, and along y."""
+    width = wp.float64(FADED) - wp.float64(WHOLE)
+    part = (wp.float64(FADED) - wp.abs(x * y)) / width
+    slope = wp.float64(-6.0) * part * (ONE - part) / width
+    bend = wp.float64(6.0) * (ONE - TWO * part) / (width * width)
+    return wp.vec3d(bend * y * y, wp.sign(x) * wp.sign(y) * slope + bend * x * y, bend * x * x)
 
 
 @wp.kernel(enable_backward=False)
@@ -313,6 +430,7 @@ def couple_kernel(
     base = cell_of(cells, bin[i])
     across = along_an_axis()
     across_slope = along_an_axis()
+    across_bend = along_an_axis()
     for k in range(first[i], end):
         at = order[k]
         x = tubes.place[at][0] - wp.float64(base[0])
@@ -321,31 +439,82 @@ def couple_kernel(
             azimuth = read(cells.response, 1, y - wp.float64(n + 1 - NEAR))
             across[n] = azimuth[0]
             across_slope[n] = azimuth[1]
+            across_bend[n] = azimuth[2]
+        side_u = tubes.side_u[at]
+        side_v = tubes.side_v[at]
+        field = tubes.field[at]
+        by_range = side_u[0] * tubes.by_u[at] + side_v[0] * tubes.by_v[at]
+        by_azimuth = side_u[1] * tubes.by_u[at] + side_v[1] * tubes.by_v[at]
+        long_u = is_long(side_u)
+        long_v = is_long(side_v)
+        twice_range = wp.vec2d()
+        twice = wp.vec2d()
+        twice_azimuth = wp.vec2d()
+        if not long_u:
+            twice_range += HALF * side_u[0] * side_u[0] * tubes.by_uu[at]
+            twice += side_u[0] * side_u[1] * tubes.by_uu[at]
+            twice_azimuth += HALF * side_u[1] * side_u[1] * tubes.by_uu[at]
+        if not long_v:
+            twice_range += HALF * side_v[0] * side_v[0] * tubes.by_vv[at]
+            twice += side_v[0] * side_v[1] * tubes.by_vv[at]
+            twice_azimuth += HALF * side_v[1] * side_v[1] * tubes.by_vv[at]
         row = int(-NEAR)
+        response = wp.vec3d()
         straight = wp.vec2d()
         aside = wp.vec2d()
-        along = wp.float64(0.0)
+        bent = wp.vec2d()
         power = wp.float64(0.0)
         for j in range(cells.offset.shape[0]):
             offset = cells.offset[j]
             if offset[0] != row:  # offsets of a row lie together
                 row = offset[0]
                 response = read(cells.response, 0, x - wp.float64(row))
-                along = response[0]
-                straight = along * tubes.field[at] + response[1] * tubes.by_range[at]
-                aside = along * tubes.by_azimuth[at]
-                power = along * along * wp.length_sq(tubes.field[at])
+                straight = response[0] * field + response[1] * by_range + response[2] * twice_range
+                aside = response[0] * by_azimuth + response[1] * twice
+                bent = response[0] * twice_azimuth
+                power = response[0] * response[0] * wp.length_sq(field)
             n = offset[1] + NEAR - 1
-            fade = faded(x - wp.float64(row), y - wp.float64(offset[1]))
-            share = fade[0] * along * across[n]
-            added = fade[0] * (across[n] * straight + across_slope[n] * aside) + along * across[n] * (
-                fade[1] * tubes.by_range[at] + fade[2] * tubes.by_azimuth[at]
+            dx = x - wp.float64(row)
+            dy = y - wp.float64(offset[1])
+            fade = faded(dx, dy)
+            plain = response[0] * across[n]
+            share = fade[0] * plain
+            most = wp.abs(share)
+            added = fade[0] * (across[n] * straight + across_slope[n] * aside + across_bend[n] * bent) + plain * (
+                fade[1] * by_range + fade[2] * by_azimuth
             )
+            if fade[0] > ZERO and fade[0] < ONE:
+                bend = fading(dx, dy)
+                added += (
+                    (bend[0] * plain + TWO * fade[1] * response[1] * across[n]) * twice_range
+                    + (bend[1] * plain + fade[1] * response[0] * across_slope[n] + fade[2] * response[1] * across[n])
+                    * twice
+                    + (bend[2] * plain + TWO * fade[2] * response[0] * across_slope[n]) * twice_azimuth
+                )
+            moved_u = wp.vec2d()
+            moved_v = wp.vec2d()
+            if long_u or long_v:
+                slope = wp.vec2d(
+                    fade[0] * response[1] * across[n] + fade[1] * plain,
+                    fade[0] * response[0] * across_slope[n] + fade[2] * plain,
+                )
+                if long_u:
+                    ends = at_ends(cells, dx, dy, side_u, share, slope, tubes.by_u[at], tubes.by_uu[at])
+                    added += ends.field
+                    moved_u = ends.moved
+                    most = wp.max(most, ends.most)
+                if long_v:
+                    ends = at_ends(cells, dx, dy, side_v, share, slope, tubes.by_v[at], tubes.by_vv[at])
+                    added += ends.field
+                    moved_v = ends.moved
+                    most = wp.max(most, ends.most)
             field_out[i, j] = field_out[i, j] + added
-            by_range_out[i, j] = by_range_out[i, j] + (x - wp.float64(row)) * added + share * tubes.by_range[at]
-            by_azimuth_out[i, j] = (
-                by_azimuth_out[i, j] + (y - wp.float64(offset[1])) * added + share * tubes.by_azimuth[at]
+            by_range_out[i, j] = (
+                by_range_out[i, j] + dx * added + share * by_range + side_u[0] * moved_u + side_v[0] * moved_v
             )
-            even_out[i, j] = even_out[i, j] + wp.abs(share) * tubes.size[at]
+            by_azimuth_out[i, j] = (
+                by_azimuth_out[i, j] + dy * added + share * by_azimuth + side_u[1] * moved_u + side_v[1] * moved_v
+            )
+            even_out[i, j] = even_out[i, j] + most * tubes.size[at]
             if loose_out.shape[0] > 0:
                 loose_out[i, j] = loose_out[i, j] + fade[0] * fade[0] * across[n] * across[n] * power

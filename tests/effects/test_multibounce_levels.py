@@ -13,7 +13,7 @@ from worlds import join, mesh_of, plate, scene_of, view
 from warpsar.compare.modelled import _render
 from warpsar.effects.bounces import cells, tracing
 from warpsar.effects.registry import declared
-from warpsar.kernels.effects import multibounce, multibounce_ends
+from warpsar.kernels.effects import multibounce, multibounce_cells, multibounce_ends
 from warpsar.runtime.structs import fill
 from warpsar.scene.scene import Scene
 from warpsar.simulation.command import Simulation, simulate
@@ -518,6 +518,107 @@ def coupled(records: dict[str, Any], field: np.ndarray, loose: np.ndarray, tubes
     cell = np.array([[k, 0] for k in range(count)])
     moment = np.zeros((2, *field.shape), np.complex64)
     return cells.Coupled(records, field, moment, np.abs(field), loose, cell, first[:-1])
+
+
+def chain(side: np.ndarray, turn: float, count: int) -> tuple[Any, np.ndarray]:
+    """So many tubes of size 1, end to end along a line of `side` [cells] each, over which the phase turns by 2 `turn`:
+    a struct of kernels, and the places (range, azimuth) of their middles."""
+    middle = (np.arange(count) - 0.5 * (count - 1))[:, None] * side + (0.3, 0.4)
+    phase = np.exp(2j * turn * np.arange(count))
+    part = (np.arange(200_000) + 0.5) / 200_000 - 0.5
+    moments = [np.mean(part**n * np.exp(2j * turn * part)) * phase for n in range(3)]
+
+    def upload(values: Any) -> Any:
+        return wp.array(np.ascontiguousarray(values, np.float64), dtype=wp.vec2d, device=CPU)
+
+    field, by_u, by_uu = (upload(np.stack([one.real, one.imag], axis=1)) for one in moments)
+    none = upload(np.zeros((count, 2)))
+    tubes = fill(
+        multibounce_cells.TubeFields,
+        place=upload(middle),
+        side_u=upload(np.tile(side, (count, 1))),
+        side_v=none,
+        size=wp.ones(count, dtype=wp.float64, device=CPU),
+        field=field,
+        by_u=by_u,
+        by_v=none,
+        by_uu=by_uu,
+        by_vv=none,
+    )
+    return tubes, middle
+
+
+def fields_of_chain(side: np.ndarray, turn: float, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """What the kernel finds in the samples (-4 to 4, 0) for a chain, each tube a group, and the integral by quadrature
+    of the response times the phase."""
+    tubes, middle = chain(side, turn, count)
+    grid = BinGrid((64, 8), (1.0, 1.0))
+    made = cells.cells_of(grid, (1.0, 1.0), ("none", "none"), CPU)
+    base = np.floor(middle).astype(int)
+    number = (base - np.array(grid.start_m).astype(int)) @ (8, 1)
+    ints = [wp.array(one.astype(np.int32), dtype=int, device=CPU) for one in (np.arange(count), number)]
+    shape = count, len(cells.offsets())
+    out = [wp.zeros(shape, dtype=wp.vec2d, device=CPU) for _ in range(3)]
+    even: wp.array = wp.zeros(shape, dtype=wp.float64, device=CPU)
+    loose: wp.array = wp.zeros((0, 0), dtype=wp.float64, device=CPU)
+    inputs = [tubes, ints[0], ints[0], ints[1], made]
+    wp.launch(multibounce_cells.couple_kernel, count, inputs=inputs, outputs=[*out, even, loose], device=CPU)
+    field = out[0].numpy() @ (1.0, 1j)
+
+    sample = base[:, None] + cells.offsets()
+    found = np.array([field[(sample == (n, 0)).all(axis=2)].sum() for n in range(-4, 5)])
+
+    table = made.response.numpy()[..., 0]
+    steps = np.arange(table.shape[1]) / int(multibounce_cells.STEPS) - int(multibounce_cells.REACH)
+    part = count * ((np.arange(2_000_000) + 0.5) / 2_000_000 - 0.5)  # in tubes from the middle
+    x, y = (0.3 + part * side[0], 0.4 + part * side[1])
+    across = np.interp(y, steps, table[1], 0.0, 0.0)
+    expected = []
+    for n in range(-4, 5):
+        away = np.clip((4.0 - abs((x - n) * y)) / 3.0, 0.0, 1.0)  # the corners of the response fade, too
+        share = np.interp(x - n, steps, table[0], 0.0, 0.0) * across * away**2 * (3.0 - 2.0 * away)
+        expected.append(count * np.mean(share * np.exp(2j * turn * (part + 0.5 * (count - 1)))))
+    return found, np.array(expected)
+
+
+def test_long_tubes_take_the_response_at_their_ends() -> None:
+    """On a wall nearly along the line of sight a tube is longer than a cell, and its phase turns by a hundred radians:
+    tubes cancel where they touch. By the response's slope at their middles they left over three times what one end of a
+    tube sends, and so power beside bright corners that no body sends. Short ones have a parabola, too."""
+    for length, turn in ((2.2, 110.3), (4.4, 220.3)):
+        found, expected = fields_of_chain(np.array([length, 0.1]), turn, 9)
+        of_one_end = 0.5 / turn
+        print(f"{length} cells: {abs(found - expected).max() / of_one_end:.4f} of an end")
+        # slopes of neighbouring parabolas differ: by 6 at most, over 2 `turn`
+        assert abs(found - expected).max() < 0.06 * of_one_end
+    found, expected = fields_of_chain(np.array([0.05, 0.125]), 0.3, 40)
+    # a parabola over an eighth of a cell; by the slope alone it was 0.015
+    assert found == pytest.approx(expected, abs=0.002 * abs(expected).max())
+
+
+def test_a_wall_nearly_along_the_line_of_sight_sends_the_same_by_any_rays() -> None:
+    """Two degrees off, in pixels of 0.5 m. Fields of the wall cancel but for its ends, and its corner is the brightest
+    pixel. Behind it there were 1e-3 of its power, at places that depended on the rays."""
+    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    base = corners * (6.0, 4.0) + (0.13, 0.07)
+    vertices = np.vstack(
+        [np.column_stack([30.0 * corners, np.zeros(4)]), *(np.column_stack([base, np.full(4, z)]) for z in (0.0, 9.0))]
+    )
+    sides = [[4 + a, 4 + (a + 1) % 4, 8 + (a + 1) % 4] for a in range(4)]
+    sides += [[4 + a, 8 + (a + 1) % 4, 8 + a] for a in range(4)]
+    faces = np.array([[0, 1, 2], [0, 2, 3], *sides, [8, 9, 10], [8, 10, 11]], np.int32)
+    mesh = Mesh(vertices, faces, np.zeros(len(faces), np.int32), ("metal",))
+    images = []
+    for rays in (16.0, 64.0, 256.0):
+        scene = bouncing(mesh, view(88.0, 45.0), 9.6e9, shape=(60, 60), rays_per_pixel=rays, max_bounces=2)
+        images.append(simulate(scene, device="cpu", layers=True)[0].layers["beta0_2_bounces_HH"].astype(float))
+    most = images[-1].max()
+    row, col = np.unravel_index(images[-1].argmax(), images[-1].shape)
+    for one in images:
+        behind = one[row + 1 : row + 15, col - 1 : col + 3].sum() / most
+        print(f"corner {one[row, col] / most:.4f}, behind it {behind:.1e} of that")
+        assert one[row, col] == pytest.approx(most, rel=0.04)  # to which tubes are cut
+        assert behind < 1e-5
 
 
 def test_groups_of_tubes_without_a_field() -> None:

@@ -141,17 +141,35 @@ def response_of(name: str) -> NDArray[np.float64]:
 
 
 def _fading(response: NDArray[np.float64]) -> NDArray[np.float64]:
-    """`response_of` that falls to nothing along its axis, over `_FADES`. In both at once `kernels.faded` does it."""
+    """`response_of` that falls to nothing along its axis, over `_FADES`, and its first and second derivative, (3, n).
+    In both axes at once `kernels.faded` does it."""
     steps, (whole, none) = int(kernels.STEPS), _FADES
     at = np.arange(response.shape[1]) / steps - int(kernels.REACH)
     part = 0.5 * np.pi * np.clip((np.abs(at) - whole) / (none - whole), 0.0, 1.0)
     left, slope = np.cos(part) ** 2, -0.5 * np.pi / (none - whole) * np.sin(2.0 * part) * np.sign(at)
-    return np.stack([response[0] * left, response[1] * left + response[0] * slope])
+    slope = response[1] * left + response[0] * slope
+    return np.stack([response[0] * left, slope, np.gradient(slope, 1.0 / steps)])
+
+
+@cache
+def _responses(tapers: tuple[str, str]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """`response` and `even` of `kernels.ResolutionCells`, with these tapers in range and azimuth."""
+    response = np.stack([_fading(response_of(name)).T for name in tapers])
+    steps, reach = int(kernels.STEPS), int(kernels.REACH)
+    at = np.arange(response.shape[1]) / steps - reach
+    place = np.arange(int(kernels.EVEN) + 1) / int(kernels.EVEN)
+    away = [place[:, None] - offsets()[:, axis] for axis in (0, 1)]
+    share = [np.interp(one, at, table, 0.0, 0.0) for one, table in zip(away, response[..., 0], strict=True)]
+    whole, faded = float(kernels.WHOLE), float(kernels.FADED)
+    part = np.clip((faded - np.abs(away[0][:, None] * away[1])) / (faded - whole), 0.0, 1.0)
+    left = part * part * (3.0 - 2.0 * part)  # as `kernels.faded`
+    total = ((left * share[0][:, None] * share[1]) ** 2).sum(axis=-1)
+    return response, 1.0 / np.sqrt(total)
 
 
 def cells_of(grid: BinGrid, cell_m: tuple[float, float], tapers: tuple[str, str], device: wp.Device) -> Any:
     """`kernels.ResolutionCells` of a size (range, azimuth) [m] and tapers among the bins of a grid."""
-    response = np.stack([_fading(response_of(name)).T for name in tapers])
+    response, even = _responses(tapers)
     return fill(
         kernels.ResolutionCells,
         size=wp.vec2d(*cell_m),
@@ -159,7 +177,8 @@ def cells_of(grid: BinGrid, cell_m: tuple[float, float], tapers: tuple[str, str]
         bin_size=wp.vec2d(*grid.spacing_m),
         bin_cols=grid.shape[1],
         offset=wp.array(offsets(), dtype=wp.vec2i, device=device),
-        response=wp.array(response, dtype=wp.vec2d, device=device),
+        response=wp.array(response, dtype=wp.vec3d, device=device),
+        even=wp.array(even, dtype=wp.float64, device=device),
     )
 
 
@@ -447,7 +466,7 @@ def _falls(
     whole = np.add.reduceat(part, head)
     in_phase = np.bincount(path, even * mirrored, of_path.size)
     power = np.maximum(np.abs(whole) ** 2, np.maximum(1e-12 * in_phase**2, np.finfo(float).tiny))
-    one_phase = np.minimum(_ONE_PHASE * power / np.maximum(in_phase, np.finfo(float).tiny) ** 2, 1.0)
+    one_phase = np.minimum(_ONE_PHASE * power / np.maximum(in_phase**2, np.finfo(float).tiny), 1.0)
     share = np.abs(part) ** 2 / np.maximum(np.bincount(inverse, even, keys.size), np.finfo(float).tiny)
     share = share / np.maximum(np.add.reduceat(share, head), np.finfo(float).tiny)[owner]
     rest = 1.0 - one_phase
