@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 from warpsar.errors import InputError
+from warpsar.io import input_file
 from warpsar.scene.file import refuse
 from warpsar.world.tables import View
 
@@ -23,16 +25,12 @@ def read(path: Path) -> dict[str, View]:
 
     Raises InputError, one message with all that is wrong, before any image is read.
     """
+    text = input_file.read_text(path, "a table of views", _LARGEST_BYTES)
     try:
-        if path.stat().st_size > _LARGEST_BYTES:
-            raise InputError(
-                f"{path}: found {path.stat().st_size} bytes; a table of views has at most {_LARGEST_BYTES}"
-            )
-        with path.open(newline="", encoding="utf-8-sig") as stream:
-            reader = csv.DictReader(stream)
-            rows, columns = list(reader), list(reader.fieldnames or [])
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path}: cannot be read as a table ({error})") from None
+        reader = csv.DictReader(io.StringIO(text, newline=""))
+        rows, columns = list(reader), list(reader.fieldnames or [])
+    except csv.Error as error:
+        raise InputError(f"{path}: cannot be read as a table of views ({error})") from None
     name = _one_of(path, columns, NAMES)
     elevation = _one_of(path, columns, ELEVATIONS)
     if "azimuth_deg" not in columns:

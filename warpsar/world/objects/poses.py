@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from warpsar.errors import InputError
+from warpsar.io import input_file
 from warpsar.world.objects.table import Object
 
 POSITION = (("east_m", "x_m"), ("north_m", "y_m"), ("up_m", "z_m"))
@@ -62,13 +63,11 @@ def posed(one: Object, path: Path) -> list[Object]:
 
 def _rows(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
     """The names of the columns, and every row with the number of its line."""
+    text = input_file.read_text(path, "a file of poses", MOST_BYTES)
     try:
-        if not path.is_file() or path.stat().st_size > MOST_BYTES:
-            raise InputError(f"{path}: cannot be read as a file of poses (must be a CSV file of at most 16 MiB)")
-        text = path.read_text(encoding="utf-8-sig")
         lines = [(k, line) for k, line in enumerate(text.splitlines(), 1) if line.strip() and line.lstrip()[0] != "#"]
         cells = [(k, [cell.strip() for cell in row]) for k, line in lines for row in csv.reader([line], strict=True)]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+    except csv.Error as error:
         raise InputError(f"{path}: cannot be read as a file of poses ({error})") from None
     if not cells:
         raise InputError(f"{path}: cannot be read as a file of poses (no line names the columns)")
