@@ -12,6 +12,7 @@ from typing import Any
 from warpsar.errors import InputError
 from warpsar.io import input_file
 from warpsar.scene.file import refuse
+from warpsar.world.problems import first_problem
 from warpsar.world.tables import View
 
 NAMES = ("chip", "view", "name")
@@ -45,7 +46,7 @@ def read(path: Path) -> dict[str, View]:
         try:
             found[row[name]] = View.model_validate({"name": row[name]} | {k: _value(k, v) for k, v in stated.items()})
         except ValueError as error:
-            problems.append(f"line {number} ({row[name]}): {_short(error)}")
+            problems.append(f"line {number} ({row[name]}): {first_problem(error, View)}")
     refuse(path, problems)
     return found
 
@@ -82,12 +83,3 @@ def _value(key: str, text: Any) -> Any:
     except ValueError:
         number = math.nan
     return number if math.isfinite(number) else text
-
-
-def _short(error: ValueError) -> str:
-    """The first of pydantic's complaints, in a line."""
-    errors = getattr(error, "errors", None)
-    if errors is None:
-        return str(error)
-    first = errors()[0]
-    return f"{'.'.join(map(str, first['loc']))}: found {first['input']!r}; {first['msg']}"

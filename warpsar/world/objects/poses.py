@@ -11,6 +11,7 @@ from typing import Any
 from warpsar.errors import InputError
 from warpsar.io import input_file
 from warpsar.world.objects.table import Object
+from warpsar.world.problems import first_problem
 
 POSITION = (("east_m", "x_m"), ("north_m", "y_m"), ("up_m", "z_m"))
 """The columns of each element of a position: either name."""
@@ -53,7 +54,7 @@ def posed(one: Object, path: Path) -> list[Object]:
             table = {**stated, "name": f"{one.label}{k:03d}", **_stated(row, one)}
             found.append(Object.model_validate(table))
         except ValueError as error:
-            problems.append(f"{path}: line {line}: {_short(error)}")
+            problems.append(f"{path}: line {line}: {first_problem(error, Object)}")
     if not rows:
         problems.append(f"{path}: found no line with a pose; must have one for each body")
     if problems:
@@ -102,12 +103,3 @@ def _number(key: str, text: str) -> float:
     if not math.isfinite(number):
         raise ValueError(f"{key}: found {text[:40]!r}; must be a number")
     return number
-
-
-def _short(error: ValueError) -> str:
-    """The first of pydantic's complaints, in a line."""
-    errors = getattr(error, "errors", None)
-    if errors is None:
-        return str(error)
-    first = errors()[0]
-    return f"{'.'.join(map(str, first['loc'])) or 'body'}: {str(first['msg']).removeprefix('Value error, ')}"
