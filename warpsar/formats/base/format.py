@@ -38,7 +38,7 @@ class Format:
     name: str
     title: str
     """As its users call it."""
-    told_by: str
+    known_by: str
     """How a file is recognised, for the documentation."""
     gives: str
     """What it holds, for the documentation."""
