@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpsar.calibration.causes import ALL, LEAST_SPAN_DEG, LEAST_SPAN_YEARS, Cause, Situation
-from warpsar.calibration.differences import YEAR_S, Differences, images_of
+from warpsar.calibration.differences import Differences
 from warpsar.calibration.measure import FEWEST_PIXELS, ReflectorObservation
 
 F64 = NDArray[np.float64]
@@ -24,24 +24,10 @@ def offsets(observations: Sequence[ReflectorObservation], axis: int, allowance_m
     """
     used = [one for one in observations if one.offset_m is not None and one.stands and one.site.for_place]
     used = [one for one in used if one.point is not None and one.point.seen and one.expected is not None]
-    used.sort(key=lambda one: (one.date, one.site.name))
-    names = tuple(dict.fromkeys(one.site.name for one in used))
     spacings = [one.spacing_m[axis] for one in used if one.spacing_m is not None]
     searched = max(allowance_m, FEWEST_PIXELS * max(spacings, default=0.0))
-    first = used[0].date if used else np.datetime64("2000-01-01")
-    return Differences(
-        tuple(used),
-        np.array([one.offset_m[axis] for one in used if one.offset_m is not None], np.float64),
-        np.array([one.point.position_sd_m[axis] for one in used if one.point is not None], np.float64),
-        np.array([names.index(one.site.name) for one in used], np.int64),
-        names,
-        np.array([(one.date - first) / np.timedelta64(1, "s") / YEAR_S for one in used], np.float64),
-        np.array([one.expected.incidence_deg for one in used if one.expected is not None], np.float64),
-        np.array([one.expected.toward_radar for one in used if one.expected is not None]).reshape(-1, 3),
-        images_of(used),
-        LEAST_SCATTER_M,
-        searched / np.sqrt(3.0),
-    )
+    values = [(one.offset_m[axis], one.point.position_sd_m[axis]) for one in used if one.offset_m and one.point]
+    return Differences.between(used, values, LEAST_SCATTER_M, searched / np.sqrt(3.0))
 
 
 def place_causes(data: Differences, axis: int) -> list[Cause]:
