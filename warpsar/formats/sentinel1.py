@@ -367,4 +367,5 @@ FORMAT = Format(
     detect=is_one,
     extra=EXTRA,
     products=products,
+    folder=("annotation", "a SAFE folder"),
 )
