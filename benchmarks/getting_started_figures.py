@@ -1,4 +1,5 @@
-"""The pictures of docs/getting-started.md, from what its commands leave in out/; README's picture joins them.
+"""The pictures of docs/getting-started.md: the example scene, and what the page's commands leave in out/; README's
+picture joins these.
 
 python benchmarks/getting_started_figures.py out --pictures docs/figures/getting-started
 """
@@ -16,8 +17,10 @@ from PIL import Image, ImageDraw
 
 import warpsar
 from warpsar.compare.comparison import Comparison
+from warpsar.io import figures
 from warpsar.io.figures import new
 
+EXAMPLE = Path(__file__).resolve().parent.parent / "data" / "example" / "scene.toml"
 LIMITS_DB = (-35.0, 0.0)
 
 
@@ -57,6 +60,29 @@ def step(path: Path, scenes: list[tuple[str, Path]], measured: bool) -> None:
     save(figure, path)
 
 
+def example(path: Path) -> None:
+    """The example's three views [dB], of 4 looks."""
+    scene = warpsar.Scene.load(EXAMPLE)
+    views = warpsar.simulate(scene)
+    figure, axes = new(10.0, 3.9, ncols=len(views), sharey=True)
+    for axis, view, declared in zip(axes, views, scene.views, strict=True):
+        speckled = view.beta0["HH"] * np.random.default_rng(0).gamma(4.0, 0.25, view.beta0["HH"].shape)
+        with np.errstate(divide="ignore"):
+            decibel = np.maximum(10.0 * np.log10(speckled), -40.0)
+        extent = (*_ends(view.azimuth_m), *_ends(view.range_m)[::-1])
+        drawn = axis.imshow(decibel, "gray", vmin=LIMITS_DB[0], vmax=LIMITS_DB[1], extent=extent)
+        axis.set_title(f"{view.name}: azimuth {declared.azimuth_deg:g}°, incidence {declared.incidence_deg:g}°", size=9)
+        axis.set_xlabel("azimuth [m]")
+    axes[0].set_ylabel("slant range [m]")
+    figure.colorbar(drawn, ax=axes, label="beta0, HH, 4 looks [dB]", shrink=0.8)
+    figures.save(figure, path)
+
+
+def _ends(centres: np.ndarray) -> tuple[float, float]:
+    half = (centres[1] - centres[0]) / 2.0
+    return float(centres[0] - half), float(centres[-1] + half)
+
+
 def loop(pictures: Path, path: Path) -> None:
     """README's picture: the measured image and its residual, the effect that is named, and what is left beside it."""
     before, after = (Image.open(pictures / name).convert("RGB") for name in ("measured.webp", "diagnosed.webp"))
@@ -81,6 +107,7 @@ def main() -> None:
     step(options.pictures / "learned.webp", [("measured over learned surfaces", learned)], False)
     diagnosed = options.out / "diagnosed" / "scene.toml"
     step(options.pictures / "diagnosed.webp", [("measured over the diagnosed scene", diagnosed)], False)
+    example(options.pictures.parent / "example.png")
     loop(options.pictures, options.pictures.parent / "loop.webp")
 
 

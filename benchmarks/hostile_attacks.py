@@ -52,10 +52,6 @@ PLACES = (
 # ---- attacks on pictures ----
 
 
-def _renamed_exr(old: bytes, new: bytes) -> Callable[[], bytes]:
-    return lambda: sound("hh.exr").replace(old, new)
-
-
 def _huge_exr(width: int, height: int) -> Callable[[], bytes]:
     def content() -> bytes:
         data = sound("hh.exr")

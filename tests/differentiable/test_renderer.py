@@ -45,7 +45,6 @@ def field(layout: str) -> Scene:
     return replace(scene, mesh=mesh, materials={"lawn": Material(**{**START, **values}, layout=layout)})
 
 
-PSF = {"range_fwhm_m": 1.1, "azimuth_fwhm_m": 0.9}
 SCENES: dict[str, Callable[[], Scene]] = {
     "uniform": uniform,
     "vertex": lambda: field("vertex"),

@@ -69,7 +69,7 @@ def table(page: str) -> list[str]:
 def test_the_page_of_import_has_a_row_for_each_format() -> None:
     formats = map(registry.get, registry.names())
     assert table("import.md") == [
-        f"| `{one.name}` | {one.title} | {one.told_by} | {one.gives} |{' yes' * bool(one.write)} | {cell(one.extra)}"
+        f"| `{one.name}` | {one.title} | {one.known_by} | {one.gives} |{' yes' * bool(one.write)} | {cell(one.extra)}"
         for one in formats
     ]
 

@@ -223,10 +223,12 @@ def launches(text: str, known: Sequence[Function]) -> Iterator[Launched]:
         assigned.sort(key=lambda n: n.lineno)
         for call in (n for n in ast.walk(scope) if isinstance(n, ast.Call) and n.args):
             function = call.func.attr if isinstance(call.func, ast.Attribute) else getattr(call.func, "id", "")
-            kernel = kernel_of(call.args[0], imports, known) if function in ("launch", "Launch") else None
+            kernel = kernel_of(call.args[0], imports, known) if function in ("launch", "Launch", "mapped") else None
             if kernel is not None:
                 given = {k.arg: k.value for k in call.keywords}
                 both = call.args[2:4] if len(call.args) > 3 else (given.get("inputs"), given.get("outputs"))
+                if function == "mapped":  # `Program.mapped` makes the one output itself
+                    both = (call.args[2], ast.List([ast.Name("result")]))
                 inputs, outputs = (list_of(one, call.lineno, assigned) for one in both)
                 if inputs is not None and outputs is not None:
                     yield Launched(kernel, call.lineno, inputs, outputs)
@@ -307,6 +309,8 @@ def test_a_wrong_order_is_found(change: tuple[str, str], fault: str) -> None:
         ("program.launch(made_kernel, 3, [image, *rest], [total])", "image stands at weight"),
         ("inputs = [image, weight]\n    inputs += [more]\n    program.launch(made_kernel, 3, inputs, [total])", ""),
         ("inputs = [image, weight]\n    Launch(made_kernel, 3, inputs, [total])", "image stands at weight"),
+        ("return program.mapped(made_kernel, weight, [weight, image])", ""),
+        ("return program.mapped(made_kernel, weight, [image, weight])", "image stands at weight"),
     ],
 )
 def test_a_wrong_launch_is_found(launch: str, fault: str) -> None:

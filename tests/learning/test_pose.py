@@ -18,11 +18,10 @@ from warpsar.learning.command import run
 from warpsar.learning.geometry import Geometry
 from warpsar.learning.glints import with_glints
 from warpsar.learning.options import LearnOptions
-from warpsar.learning.pose import PosedProblem, _lower, _shortened, foretold_gain, without_shading
+from warpsar.learning.pose import PosedProblem, _lower, _shortened, foretold_gain, render_elsewhere, without_shading
 from warpsar.learning.pose_pixels import FLOOR_SHARE, compared
 from warpsar.learning.pose_search import find_poses, group_pose
 from warpsar.learning.pose_sharing import boxes, columns_of, faces_about, shared
-from warpsar.learning.posed_images import render_elsewhere
 from warpsar.learning.problem import FitProblem
 from warpsar.runtime import devices
 from warpsar.scene.placing import with_objects

@@ -86,7 +86,7 @@ def test_a_line_is_a_body(tmp_path: Path) -> None:
         ("", "no line names the columns"),
         ("east_m,north_m\n1\n", "line 2: found 1 values; must be 2"),
         ("east_m,north_m\n1,two\n3,nan\n", "line 2: north_m: found 'two'; must be a number"),
-        ("east_m,north_m,length_m\n1,2,0\n", "line 2: body: found size_m"),
+        ("east_m,north_m,length_m\n1,2,0\n", "line 2: found size_m"),
         ("name,east_m,north_m\n?,1,2\n", "line 2: name: "),
         ("east_m,north_m,east_m\n1,2,3\n", "the column east_m twice"),
     ],

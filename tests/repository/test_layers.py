@@ -84,7 +84,7 @@ SHARING = {
     "warpsar.compare.comparison",  # the images that are compared
 }
 """The modules that share work out among the processes of a run. To all others a run is one program."""
-TOLD_BY_TORCHRUN = {f"warpsar.runtime.{name}" for name in ("busy", "console", "devices", "memory", "threads")}
+READS_TORCHRUN = {f"warpsar.runtime.{name}" for name in ("busy", "console", "devices", "memory", "threads")}
 """They read of the environment how many processes share this host's cores, and which of them speaks."""
 
 
@@ -299,7 +299,7 @@ def ranked(path: Path) -> set[str]:
 
 
 def test_processes_are_known_where_work_is_shared(found: list[Arrow]) -> None:
-    assert knowing(found) == {"processes": SHARING, "torchrun": TOLD_BY_TORCHRUN}
+    assert knowing(found) == {"processes": SHARING, "torchrun": READS_TORCHRUN}
     naming = {name for name, path in sources(ROOT).items() if ranked(path) and not name.startswith(PROCESSES)}
     assert naming <= SHARING
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import ast
 import json
 import re
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 
@@ -23,12 +24,15 @@ PYTHON = re.compile(r"^```python\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 DIRECTIVE = re.compile(r"^\.\. auto\w+:: (warpsar[\w.]+)$", re.MULTILINE)
 
 
+ASSIGNMENT = ast.Assign | ast.AnnAssign
 METAPHORS = {"bench", "course", "lead", "door", "told", "said", "heard", "begun"}
 """Words that say nothing of SAR, nor of what a function does."""
 
 
+@cache
 def defined() -> list[tuple[Path, str, bool]]:
-    """Every class, function and module of the house: where, its name, and whether it is a class."""
+    """Every class, function and module of the house, every field of a class and constant of a module: where, its name,
+    and whether it is a class."""
     found = []
     for folder in ("warpsar", "kernels", "cli"):
         for path in sorted((ROOT / folder).rglob("*.py")):
@@ -36,10 +40,18 @@ def defined() -> list[tuple[Path, str, bool]]:
             for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
                 if isinstance(node, ast.ClassDef | ast.FunctionDef):
                     found.append((path, node.name, isinstance(node, ast.ClassDef)))
+                if isinstance(node, ast.ClassDef | ast.Module):
+                    found += [(path, name, False) for each in node.body for name in bound(each)]
     return found
 
 
-@pytest.mark.full
+def bound(statement: ast.stmt) -> list[str]:
+    """The names that an assignment binds, private ones left out."""
+    targets = getattr(statement, "targets", None) or [getattr(statement, "target", None)]
+    names = [each.id for each in targets if isinstance(each, ast.Name)] if isinstance(statement, ASSIGNMENT) else []
+    return [name for name in names if not name.startswith("_")]
+
+
 def test_a_public_class_has_its_name_alone() -> None:
     places: dict[str, list[str]] = {}
     for path, name, is_class in defined():
@@ -49,9 +61,8 @@ def test_a_public_class_has_its_name_alone() -> None:
     assert {name: where for name, where in places.items() if len(where) > 1} == {}
 
 
-@pytest.mark.full
 def test_names_are_no_metaphors() -> None:
-    words = re.compile(r"[A-Z]?[a-z]+")
+    words = re.compile(r"[A-Z]?[a-z]+|[A-Z]+")
     wrong = [
         f"{path.relative_to(ROOT)}: {name}"
         for path, name, _ in defined()
@@ -88,9 +99,7 @@ def pieces() -> list[tuple[str, str]]:
     for page in [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]:
         text = page.read_text(encoding="utf-8")
         if page.name not in OWN_PAGES:
-            found += [
-                (page.name, code) for code in re.findall(r"^```python\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
-            ]
+            found += [(page.name, code) for code in PYTHON.findall(text)]
     for page in sorted((ROOT / "examples").rglob("*.ipynb")):
         cells = json.loads(page.read_text(encoding="utf-8"))["cells"]
         codes = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]

@@ -15,8 +15,7 @@ turns.py        all attitudes that fit
 forecast.py     later dates foretold from earlier ones
 unpredicted.py  reflectors without a prediction, compared with themselves
 explain.py      the causes alone and together, and what is tied
-places.py       what may move places
-geolocation.py  how far reflectors lie off orbit and survey
+geolocation.py  how far reflectors lie off orbit and survey, and what may move them
 table.py        reflectors.csv
 figures.py      drawings of the report
 report.py       report.html

@@ -11,8 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 Shape = Literal["triangular", "square"]
 SHAPES: tuple[Shape, ...] = ("triangular", "square")
 F64 = NDArray[np.float64]
-BORESIGHT_ELEVATION_DEG = float(np.degrees(np.arctan(np.sqrt(0.5))))
-"""Of an upright trihedral that is not tilted: 35.26 degrees over the horizon."""
 
 
 @dataclass(frozen=True)

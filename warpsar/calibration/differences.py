@@ -60,19 +60,34 @@ class Differences:
             for one in observations
             if one.stands and one.site.for_power and one.difference_db is not None and one.difference_sd_db is not None
         ]
-        used.sort(key=lambda one: (one.date, one.site.name))
+        return cls.between(used, [(one.difference_db, one.difference_sd_db) for one in used])
+
+    @classmethod
+    def between(
+        cls,
+        observations: Sequence[ReflectorObservation],
+        values: Sequence[tuple[float | None, float | None]],
+        least_scatter: float = LEAST_SCATTER_DB,
+        most_scatter: float = MOST_SCATTER_DB,
+    ) -> Differences:
+        """Of observations of any order, each with a value and its standard deviation."""
+        order = sorted(range(len(observations)), key=lambda i: (observations[i].date, observations[i].site.name))
+        used = [observations[i] for i in order]
+        value, sd = np.array([values[i] for i in order], np.float64).reshape(-1, 2).T
         names = tuple(dict.fromkeys(one.site.name for one in used))
         first = used[0].date if used else np.datetime64("2000-01-01")
         return cls(
             tuple(used),
-            np.array([one.difference_db for one in used], np.float64),
-            np.array([one.difference_sd_db for one in used], np.float64),
+            value.copy(),
+            sd.copy(),
             np.array([names.index(one.site.name) for one in used], np.int64),
             names,
             np.array([(one.date - first) / np.timedelta64(1, "s") / YEAR_S for one in used], np.float64),
             np.array([one.expected.incidence_deg for one in used if one.expected is not None], np.float64),
             np.array([one.expected.toward_radar for one in used if one.expected is not None]).reshape(-1, 3),
             images_of(used),
+            least_scatter,
+            most_scatter,
         )
 
     def part(self, chosen: NDArray[np.bool_]) -> Differences:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from warpsar.calibration.attitude import SHAPES, Facing, Shape
 from warpsar.errors import InputError, did_you_mean, shown
+from warpsar.io import input_file
 from warpsar.io.images import replacing
 from warpsar.world.earth import LocalEarth, ecef_to_geodetic, geodetic_to_ecef
 
@@ -136,17 +137,8 @@ def read(path: Path) -> list[ReflectorSite]:
 
     Raises InputError, one message that names file, line and column, for a file that has none of them.
     """
-    try:
-        if not path.is_file():
-            raise InputError(f"{path}: no such file")
-        if path.stat().st_size > LARGEST_FILE:
-            raise InputError(f"{path}: found more than {LARGEST_FILE} bytes; a table of sites has fewer")
-        text = path.read_text("utf-8-sig")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: no text in UTF-8, so no sites") from error
-    reader = csv.reader(io.StringIO(text), skipinitialspace=True)
+    text = input_file.read_text(path, "a table of sites", LARGEST_FILE)
+    reader = csv.reader(io.StringIO(text, newline=None), skipinitialspace=True)
     try:
         rows = [(reader.line_num, [cell.strip() for cell in row]) for row in reader if any(map(str.strip, row))]
         rows = [(line, cells) for line, cells in rows if not cells[0].startswith("#")]

@@ -11,7 +11,7 @@ import numpy as np
 from warpsar.coherent.rcs import Rcs
 from warpsar.io import html as report
 
-SAID = {
+CAPTIONS = {
     "rcs.png": "RCS over the angle. Darker: the spacing of the tubes; lighter: the 95 % interval, where there is one",
     "rcs_polar.png": "The same around the body [dBsm]",
     "range_profile.png": "Power over range, one line for each direction",
@@ -43,7 +43,7 @@ def write_report(out: Path, found: Rcs, content: dict[str, Any], command: Sequen
         interval = f"The 95 % interval of a value is {widths['median']:.1f} dB wide in the median."
     pictures = {
         name: report.picture((out / name).read_bytes(), words)
-        for name, words in SAID.items()
+        for name, words in CAPTIONS.items()
         if name in content["files"]
     }
     first, *others = pictures.values()

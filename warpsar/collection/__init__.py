@@ -2,9 +2,9 @@
 
 presets: published systems. track_file: where the sensor is at each pulse, from CSV and CPHD. antenna_file: a measured
 pattern. plan: band, track and system of a view, checked. response: widths and cells of a system. scatterers: what sends
-back, from the coherent engine. moved: with what effects do to them. places: the same of one direction. bodies: the mesh
+back, from the coherent engine. places: the same of one direction. bodies: the mesh
 on the device, kept from view to view. history: phase history. slc: complex images, and focusing. direct: each scatterer
-times the response. noise: of the receiver. samples: what effects do to those of a complex image. forecast: time and
+times the response. noise: of the receiver. forecast: time and
 memory, measured on parts of the work. command: `warpsar simulate --product`.
 """
 

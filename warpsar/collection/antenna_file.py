@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from scipy.interpolate import RectBivariateSpline
 
 from warpsar.errors import InputError
 from warpsar.formats.base.data import reading
+from warpsar.io import input_file
 
 F64 = NDArray[np.float64]
 FINER = 8
@@ -52,10 +54,10 @@ class AntennaPatternTable:
 
 def read(path: Path) -> AntennaPatternTable:
     """A CSV of azimuth_deg, gain_db and where there are elevation_deg and phase_deg. Raises InputError for others."""
-    if path.stat().st_size > _LARGEST:
-        raise InputError(f"{path}: found {path.stat().st_size} bytes; must be at most {_LARGEST}")
-    with reading(path, "CSV pattern", csv.Error), path.open(newline="", encoding="utf-8-sig") as file:
-        rows = csv.DictReader(line for line in file if line.strip() and not line.startswith("#"))
+    text = input_file.read_text(path, "a CSV pattern", _LARGEST)
+    with reading(path, "CSV pattern", csv.Error):
+        lines = io.StringIO(text, newline="")
+        rows = csv.DictReader(line for line in lines if line.strip() and not line.startswith("#"))
         names = rows.fieldnames or []
         if not {"azimuth_deg", "gain_db"} <= set(names):
             found = ", ".join(names) or "none"

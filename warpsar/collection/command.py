@@ -12,19 +12,21 @@ from typing import Any
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from warpsar.collection.bodies import Bodies
 from warpsar.collection.direct import DirectImage, direct, direct_of_rough, refuse_direct, rough_of
 from warpsar.collection.forecast import forecast, placed_on_device, room_of
 from warpsar.collection.history import Collected, mixed
 from warpsar.collection.history import phase_history as recorded
-from warpsar.collection.noise import with_image_noise, with_noise
+from warpsar.collection.noise import lines, with_image_noise, with_noise
 from warpsar.collection.places import TubeTally
 from warpsar.collection.plan import HALFWAY_DEG, Plan, plans_of
-from warpsar.collection.samples import with_samples_changed
 from warpsar.collection.scatterers import Stream, band_error_db, rough_alone
 from warpsar.collection.slc import Slc, focused
 from warpsar.effects.base.product import Product
+from warpsar.effects.base.recorder import lit_pixels
+from warpsar.effects.registry import declared, names
 from warpsar.formats import cphd, sicd
 from warpsar.io import complex_image
 from warpsar.io.images import replacing
@@ -32,13 +34,53 @@ from warpsar.io.quick_look import QuickLook, draw_together
 from warpsar.runtime import console, devices
 from warpsar.runtime.busy import busy
 from warpsar.scene.scene import Scene, scene_or_file
+from warpsar.simulation.command import view_render
 from warpsar.simulation.outputs import make_folder, refuse_unlikely_size, write_json
+from warpsar.simulation.rays import trace_view, view_seed
+from warpsar.surface.stage import Stage
 
 WIDE_BAND, SAID_DB = 0.06, 0.5
 """Share of the middle frequency from which a band's amplitudes are looked at, and the error at its ends that is said:
 even an amplitude that goes as the frequency squared, as of small roughness, changes by less in a narrower band."""
 ALIASED = 0.01
 """Share of the tubes' power, in tubes that are too wide after a curved surface, from which a warning is due."""
+
+
+def with_samples_changed(made: Slc, scene: Scene, index: int, seed: int, device: wp.Device) -> Slc:
+    """A complex image with what effects do to its samples; `index` is the number of the view, `seed` the scene's."""
+    system = _System(made, scene, index, seed, device)
+    images = {}
+    for polarization, samples in made.images.items():
+        system.polarization = polarization
+        for one in made.plan.effects:
+            samples = one.effect.samples(system, one.values, one.settings, samples)
+        images[polarization] = samples
+    return replace(made, images=images)
+
+
+class _System:
+    """The `ComplexImage` that effects see."""
+
+    def __init__(self, made: Slc, scene: Scene, index: int, seed: int, device: wp.Device) -> None:
+        self.made, self.scene, self.index, self.seed, self.device = made, scene, index, seed, device
+        self.polarization = ""
+        self._powers: dict[str, tuple[dict[str, Any], NDArray[np.bool_]]] = {}
+        self._random = np.random.default_rng([seed, 3, index])
+
+    def lines(self) -> NDArray[np.complex64]:
+        return lines(self.made.plan, self.made.azimuth_m, len(self.made.range_m), self._random)
+
+    def power(self, effect: str) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        if effect not in self._powers:
+            before = names()[: names().index(effect)]
+            effects = {name: table for name, table in self.scene.effects.items() if name in before}
+            scene = replace(self.scene, effects=effects)
+            view, stage = scene.views[self.index], Stage.of(scene, self.device)
+            hits = trace_view(scene, stage, view, seed=view_seed(self.seed, self.index), effects=declared(scene, view))
+            render = view_render(scene, stage, view, hits)
+            self._powers[effect] = render.forward(), lit_pixels(render).reshape(render.shape)
+        images, met = self._powers[effect]
+        return images[self.polarization], met
 
 
 def phase_history(

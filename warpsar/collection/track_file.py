@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from scipy.interpolate import CubicSpline
 from warpsar.errors import InputError
 from warpsar.formats import cphd
 from warpsar.formats.base.data import FARTHEST_M, reading
+from warpsar.io import input_file
 from warpsar.world.earth import EarthFrame, axes_at, needed
 from warpsar.world.track import Track
 
@@ -51,10 +53,10 @@ def _is_cphd(path: Path) -> bool:
 
 
 def _csv(path: Path, reference_m: NDArray[np.float64]) -> Track:
-    if path.stat().st_size > _LARGEST:
-        raise InputError(f"{path}: found {path.stat().st_size} bytes; must be at most {_LARGEST}")
-    with reading(path, "CSV track", csv.Error), path.open(newline="", encoding="utf-8-sig") as file:
-        rows = csv.reader(line for line in file if line.strip() and not line.startswith("#"))
+    text = input_file.read_text(path, "a CSV track", _LARGEST)
+    with reading(path, "CSV track", csv.Error):
+        lines_of_text = io.StringIO(text, newline="")
+        rows = csv.reader(line for line in lines_of_text if line.strip() and not line.startswith("#"))
         names = [name.strip() for name in next(rows, [])]
         wanted = ("time_s", *_PLACE)
         if not set(wanted) <= set(names):

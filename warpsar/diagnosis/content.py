@@ -105,7 +105,7 @@ def _rival(one: EffectRival) -> dict[str, Any]:
         "gain": one.gain,
         "distance": one.distance,
         "z": one.z,
-        "lead": one.lead,
+        "lead": one.margin,
         "error": one.error,
     }
 

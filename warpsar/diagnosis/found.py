@@ -189,7 +189,7 @@ class EffectRival:
     `distance`: sum of L (ln mu - ln mu')^2 over the pixels. The gain is that on average were `effect` the cause, and
     minus that were `other`. `z`: how many standard deviations the gain lies from what it would be were `other` the
     cause (Cox, Proc. 4th Berkeley Symposium 1, 1961, for models whose parameters are known better than they differ).
-    `lead`: the gain less the price of further parameters, by which one of the two is named, and its standard `error`
+    `margin`: the gain less the price of further parameters, by which one of the two is named, and its standard `error`
     (Vuong, Econometrica 57, 1989).
     """
 
@@ -199,13 +199,13 @@ class EffectRival:
     gain: float
     distance: float
     z: float
-    lead: float
+    margin: float
     error: float
 
     @property
     def undecided(self) -> bool:
         """Whether `other` could be the cause as well, or other speckle would have had it named."""
-        return self.z < REFUSES or self.lead < 2.0 * self.error
+        return self.z < REFUSES or self.margin < 2.0 * self.error
 
 
 @dataclass

@@ -13,7 +13,7 @@ from warpsar.diagnosis.found import Diagnosis
 from warpsar.learning.identify import Identified
 from warpsar.surface.surface import KINDS
 
-SAID = {"position_m": "position_sd_m", "heading_deg": "heading_sd_deg", "size_m": "size_sd_m"}
+SD_KEYS = {"position_m": "position_sd_m", "heading_deg": "heading_sd_deg", "size_m": "size_sd_m"}
 """Keys of an object's table, and where diagnosis.json has their standard deviations."""
 
 
@@ -43,7 +43,7 @@ def annotate(path: Path, objects: Mapping[str, Mapping[str, Any]]) -> None:
     document = tomlkit.parse(path.read_text(encoding="utf-8"))
     for table in document.get("objects", []):
         told = objects.get(str(table.get("name", table.get("group", ""))), {})
-        for key, sd in SAID.items():
+        for key, sd in SD_KEYS.items():
             if key in table and sd in told:
                 values = told[sd] if isinstance(told[sd], list) else [told[sd]]
                 table[key].comment("standard deviation " + ", ".join(f"{value:.2g}" for value in values))

@@ -1,9 +1,8 @@
 """How do images change with the parameters? The renderer for gradients, and its faces for PyTorch and JAX.
 
-parameters: what may change, by name. derivatives: images, `vjp` and `jvp` with NumPy arrays. renderer:
-`warpsar.renderer`. pytorch, jax_callback: the same as a function of either library. moves: poses, sizes and vertices
-as parameters. vertex_slopes: a view's gradient to the vertices. geometry: exact images,
-and their change along one move.
+parameters: what may change, by name, and what of the geometry may move. derivatives: images, `vjp` and `jvp` with
+NumPy arrays. renderer: `warpsar.renderer`. pytorch, jax_callback: the same as a function of either library.
+vertex_slopes: a view's gradient to the vertices. geometry: exact images, and their change along one move.
 """
 
 import lazy_loader

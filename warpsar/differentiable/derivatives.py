@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from warpsar.differentiable.moves import GeometryParameters
 from warpsar.differentiable.parameters import (
+    GeometryParameters,
     RenderParameter,
     known_name,
     learned_tables,

@@ -71,11 +71,7 @@ class AzimuthAmbiguity(Effect):
         return Copy(-offset, level), Copy(offset, level)
 
     def image(self, render: Recorder, p: wp.array, image: wp.array) -> wp.array:
-        result = render.program.array(image.shape[0])
-        render.program.launch(
-            kernels.ghost_kernel, image.shape[0], [p, render.spacing_m[1], render.shape[1], image], [result]
-        )
-        return result
+        return render.program.mapped(kernels.ghost_kernel, image, [p, render.spacing_m[1], render.shape[1], image])
 
 
 EFFECT = AzimuthAmbiguity()

@@ -92,9 +92,7 @@ class EdgeDiffraction(Effect):
         sigma = program.array(bins.shape[0])
         program.launch(kernels.strength_kernel, bins.shape[0], [p], [sigma])
         render.collect(sigma, weight, points, bins, share)
-        result = program.array(image.shape[0])
-        program.launch(binning.add_kernel, image.shape[0], [image, share], [result])
-        return result
+        return program.mapped(binning.add_kernel, image, [image, share])
 
 
 def sharp_edges(target: Target) -> SharpEdges:

@@ -50,9 +50,7 @@ class EpsGradient(Effect):
     def coordinates(self, render: Recorder, p: wp.array, zeta: wp.array, points: wp.array, page: int) -> wp.array:
         if page:  # the permittivity is the first coordinate
             return zeta
-        result = render.program.array(zeta.shape[0], wp.vec4)
-        render.program.launch(kernels.slope_kernel, zeta.shape[0], [p, points, zeta], [result])
-        return result
+        return render.program.mapped(kernels.slope_kernel, zeta, [p, points, zeta])
 
 
 EFFECT = EpsGradient()

@@ -51,9 +51,7 @@ class ExponentialSpectrum(Effect):
         own = render.stage.spectrum.numpy()
         own = np.where(own == Spectrum.GAUSSIAN, int(Spectrum.EXPONENTIAL), own)
         other = render.scatter(zeta, polarization, wp.array(own, dtype=int, device=render.program.device))
-        result = render.program.array(sigma.shape[0])
-        render.program.launch(kernels.mix_kernel, sigma.shape[0], [p, sigma, other], [result])
-        return result
+        return render.program.mapped(kernels.mix_kernel, sigma, [p, sigma, other])
 
 
 EFFECT = ExponentialSpectrum()

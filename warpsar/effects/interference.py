@@ -215,14 +215,9 @@ class Interference(Effect):
         rows, cols = render.shape
         line = _line(render.settings[self.name], rows)
         device = render.program.device
-        result = render.program.array(image.shape[0])
-        render.program.launch(
-            kernels.lines_kernel,
-            image.shape[0],
-            [p, wp.array(line, dtype=float, device=device), cols, image],
-            [result],
+        return render.program.mapped(
+            kernels.lines_kernel, image, [p, wp.array(line, dtype=float, device=device), cols, image]
         )
-        return result
 
 
 EFFECT = Interference()

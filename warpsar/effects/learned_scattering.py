@@ -70,10 +70,8 @@ class LearnedScattering(Effect):
 
     def scattering(self, render: Recorder, p: wp.array, zeta: wp.array, sigma: wp.array, polarization: int) -> wp.array:
         channel = CHANNELS.index("HV" if Polarization(polarization).crossed else Polarization(polarization).name)
-        result = render.program.array(sigma.shape[0])
         inputs = [p, channel, render.shaded.cos_incidence, sigma]
-        render.program.launch(kernels.growth_kernel, sigma.shape[0], inputs, [result])
-        return result
+        return render.program.mapped(kernels.growth_kernel, sigma, inputs)
 
 
 def shape_db(values: Mapping[str, float], channel: str, incidence_deg: np.ndarray) -> np.ndarray:

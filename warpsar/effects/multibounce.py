@@ -128,9 +128,7 @@ class Multibounce(Effect):
 
 
 def _sum(render: Recorder, one: wp.array, other: wp.array) -> wp.array:
-    result = render.program.array(one.shape[0])
-    render.program.launch(binning.add_kernel, one.shape[0], [one, other], [result])
-    return result
+    return render.program.mapped(binning.add_kernel, one, [one, other])
 
 
 EFFECT = Multibounce()

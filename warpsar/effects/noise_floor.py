@@ -63,9 +63,7 @@ class NoiseFloor(Effect):
         return float(values[0])
 
     def image(self, render: Recorder, p: wp.array, image: wp.array) -> wp.array:
-        result = render.program.array(image.shape[0])
-        render.program.launch(kernels.noise_kernel, image.shape[0], [p, image], [result])
-        return result
+        return render.program.mapped(kernels.noise_kernel, image, [p, image])
 
 
 EFFECT = NoiseFloor()

@@ -97,10 +97,8 @@ class PhaseError(Effect):
         nodes: list[wp.array] = [
             wp.array(one, dtype=float, device=device) for one in (place, share / share.sum(), slope)
         ]
-        result = program.array(image.shape[0])
         pixels = render.resolution_m[1] / (np.pi * render.spacing_m[1])
-        program.launch(kernels.smear_kernel, image.shape[0], [p, *nodes, pixels, render.shape[1], image], [result])
-        return result
+        return program.mapped(kernels.smear_kernel, image, [p, *nodes, pixels, render.shape[1], image])
 
 
 EFFECT = PhaseError()

@@ -62,14 +62,11 @@ class RangeLoss(Effect):
 
     def gain(self, render: Recorder, p: wp.array, sigma: wp.array, points: wp.array) -> wp.array:
         geometry = render.geometry
-        result = render.program.array(sigma.shape[0])
-        render.program.launch(
+        return render.program.mapped(
             kernels.loss_kernel,
-            sigma.shape[0],
+            sigma,
             [p, geometry.slant_range_m or 0.0, wp.vec3(*geometry.d), wp.vec3(*geometry.v), points, sigma],
-            [result],
         )
-        return result
 
 
 EFFECT = RangeLoss()

@@ -6,7 +6,6 @@ import math
 from collections.abc import Collection, Iterable, Mapping
 from functools import cache
 from importlib import import_module
-from pkgutil import iter_modules
 from typing import Any
 
 import numpy as np
@@ -18,6 +17,7 @@ from warpsar.effects.base.phase import Response
 from warpsar.errors import InputError, did_you_mean, shown
 from warpsar.models import registry as models
 from warpsar.models.base.model import DEFAULT
+from warpsar.runtime.plugins import names_in
 from warpsar.world.tables import View
 from warpsar.world.world import World, geometry_of
 
@@ -25,9 +25,7 @@ from warpsar.world.world import World, geometry_of
 @cache
 def _files() -> frozenset[str]:
     """The modules of this folder that are effects: all but this one."""
-    folder = import_module(__package__).__path__
-    found = {module.name for module in iter_modules(folder) if not module.ispkg}
-    return frozenset(found - {"registry"})
+    return frozenset(names_in(__package__))
 
 
 @cache

@@ -127,9 +127,7 @@ class Saturation(Effect):
             pivot = self._median(render, image)
         else:
             pivot = wp.array([chosen], dtype=float, device=render.program.device)
-        result = render.program.array(image.shape[0])
-        render.program.launch(kernels.compress_kernel, image.shape[0], [p, pivot, image], [result])
-        return result
+        return render.program.mapped(kernels.compress_kernel, image, [p, pivot, image])
 
     def _median(self, render: Recorder, image: wp.array) -> wp.array:
         """Record the median of the pixels that rays meet: a radix selection of the two numbers in the middle."""

@@ -160,9 +160,7 @@ class UnresolvedDetail(Effect):
         for axis in (0, 1):
             share = blurred(render, WINDOWS["gaussian"], p, 1, share, axis=axis)
         render.layers[f"beta0_detail_{Polarization(polarization).name}"] = share
-        result = program.array(image.shape[0])
-        program.launch(binning.add_kernel, image.shape[0], [image, share], [result])
-        return result
+        return program.mapped(binning.add_kernel, image, [image, share])
 
 
 EFFECT = UnresolvedDetail()

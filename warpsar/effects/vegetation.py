@@ -67,11 +67,7 @@ class Vegetation(Effect):
 
     def scattering(self, render: Recorder, p: wp.array, zeta: wp.array, sigma: wp.array, polarization: int) -> wp.array:
         crossed = int(Polarization(polarization).crossed)
-        result = render.program.array(sigma.shape[0])
-        render.program.launch(
-            kernels.canopy_kernel, sigma.shape[0], [p, crossed, render.shaded.cos_incidence, sigma], [result]
-        )
-        return result
+        return render.program.mapped(kernels.canopy_kernel, sigma, [p, crossed, render.shaded.cos_incidence, sigma])
 
 
 EFFECT = Vegetation()

@@ -69,9 +69,7 @@ class ViewGain(Effect):
         return [Trial(steps, ({"gain_db": dict.fromkeys(names, 0.0)},))]
 
     def gain(self, render: Recorder, p: wp.array, sigma: wp.array, points: wp.array) -> wp.array:
-        result = render.program.array(sigma.shape[0])
-        render.program.launch(kernels.gain_kernel, sigma.shape[0], [p, sigma], [result])
-        return result
+        return render.program.mapped(kernels.gain_kernel, sigma, [p, sigma])
 
 
 EFFECT = ViewGain()

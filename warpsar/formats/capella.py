@@ -21,7 +21,7 @@ from warpsar.formats.base.data import ImageChip
 from warpsar.formats.base.extra import Extra
 from warpsar.formats.base.format import Format, Stated
 from warpsar.formats.base.located import chip_of
-from warpsar.io import geotiff
+from warpsar.io import geotiff, input_file
 from warpsar.products.grid import LineGrid
 from warpsar.products.orbit import Orbit
 from warpsar.products.product import Product, Radiometry, to_beta0
@@ -29,6 +29,7 @@ from warpsar.products.zero_doppler import Side, incidence_deg, locate, toward_ra
 from warpsar.world.earth import ecef_to_geodetic
 
 F64 = NDArray[np.float64]
+METADATA = "Capella's metadata"
 LARGEST_TEXT = 2**26
 """Bytes of the JSON; those of long collects have some 2 MB."""
 POWERS: dict[str, Radiometry] = {
@@ -66,17 +67,8 @@ def _described(path: Path) -> str | None:
         return text
     for beside in (path.with_suffix(".json"), path.with_name(f"{path.stem}_extended.json")):
         if beside.is_file() and b'"collect"' in _begin(beside):
-            return _text(beside)
+            return input_file.read_text(beside, METADATA, LARGEST_TEXT)
     return None
-
-
-def _text(path: Path) -> str:
-    try:
-        if path.stat().st_size > LARGEST_TEXT:
-            raise InputError(f"{path}: found more than {LARGEST_TEXT} bytes; Capella's metadata has fewer")
-        return path.read_text("utf-8")
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read ({error})") from error
 
 
 class _Fields:
@@ -155,7 +147,7 @@ def products(path: Path, polarization: str | None) -> tuple[Product, ...]:
     if _begin(path).lstrip()[:1] == b"{":
         stem = path.with_suffix("").name.removesuffix("_extended")
         image = next((one for s in (".tif", ".tiff") if (one := path.with_name(stem + s)).is_file()), None)
-        text: str | None = _text(path)
+        text: str | None = input_file.read_text(path, METADATA, LARGEST_TEXT)
     else:
         text = _described(path)
     if text is None:

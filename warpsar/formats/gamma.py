@@ -11,6 +11,7 @@ from warpsar.errors import InputError
 from warpsar.formats.base.data import ImageChip
 from warpsar.formats.base.format import Format, Stated
 from warpsar.formats.base.located import chip_of
+from warpsar.io import input_file
 from warpsar.products.grid import LineGrid
 from warpsar.products.orbit import Orbit
 from warpsar.products.product import Product
@@ -122,12 +123,7 @@ class _Keys:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        try:
-            if path.stat().st_size > LARGEST_TEXT:
-                raise InputError(f"{path}: found more than {LARGEST_TEXT} bytes; a parameter file has fewer")
-            text = path.read_text("utf-8", errors="replace")
-        except OSError as error:
-            raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+        text = input_file.read_bytes(path, "a parameter file", LARGEST_TEXT).decode("utf-8", errors="replace")
         if TITLE not in text[:256]:
             raise InputError(f"{path}: found no {TITLE!r} in its first line; must be GAMMA's")
         pairs = (line.partition(":") for line in text.splitlines() if ":" in line)

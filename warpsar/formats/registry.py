@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from warpsar.errors import InputError
-from warpsar.formats.base.folder import names_in
+from warpsar.runtime.plugins import names_in
 
 if TYPE_CHECKING:  # the command line asks for names, and loads no NumPy for them
     from warpsar.formats.base.data import ImageChip, PhaseHistory, Quantity, RadarAt
@@ -101,6 +101,18 @@ def _with_products() -> list[str]:
     return [name for name in names() if get(name).products is not None]
 
 
+def _of_folder(path: Path) -> str:
+    """The name of a folder's format; raises InputError for one that has none."""
+    folders = {name: folder for name in names() if (folder := get(name).folder) is not None}
+    for name, (inside, _) in folders.items():
+        if (path / inside).is_dir():
+            return name
+    raise InputError(
+        f"{path}: found a folder without {' or '.join(f'{inside}/' for inside, _ in folders.values())}; must be "
+        f"{', '.join(called for _, called in folders.values())}, or a file of one of {', '.join(_with_products())}"
+    )
+
+
 def products(source: str | Path, *, file_format: str = "auto", polarization: str | None = None) -> tuple[Product, ...]:
     """The images of the earth with an orbit that a file holds, or a folder such as a SAFE one.
 
@@ -108,13 +120,8 @@ def products(source: str | Path, *, file_format: str = "auto", polarization: str
     """
     path = Path(source)
     name = file_format
-    if file_format == "auto" and (path / "annotation").is_dir():
-        name = "sentinel1"
-    elif file_format == "auto" and path.is_dir():
-        raise InputError(
-            f"{path}: found a folder without annotation/; must be a SAFE folder, or a file of one of "
-            f"{', '.join(_with_products())}"
-        )
+    if file_format == "auto" and path.is_dir():
+        name = _of_folder(path)
     elif file_format == "auto" and zipfile.is_zipfile(path):
         raise InputError(f"{path}: found a zip archive; unpack it, and name the folder or file inside")
     elif file_format == "auto":

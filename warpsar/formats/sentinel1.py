@@ -19,6 +19,7 @@ from warpsar.formats.base.data import ImageChip, reading
 from warpsar.formats.base.extra import Extra
 from warpsar.formats.base.format import Format, Stated
 from warpsar.formats.base.located import chip_of
+from warpsar.io import input_file
 from warpsar.products.grid import LineGrid
 from warpsar.products.ground_range import GroundRange
 from warpsar.products.lookup import LineTable
@@ -309,13 +310,7 @@ def _inverse_square(table: LineTable) -> Callable[[ArrayLike, ArrayLike], F64]:
 
 def _parse(path: Path, root: str) -> ElementTree.Element:
     """The root element of an XML file. Raises InputError for one that is none, or that declares entities."""
-    try:
-        size = path.stat().st_size
-        if size > LARGEST_XML:
-            raise InputError(f"{path}: found a file of {size} bytes; an annotation has at most {LARGEST_XML}")
-        text = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+    text = input_file.read_bytes(path, "an annotation", LARGEST_XML)
     if re.search(rb"<!(DOCTYPE|ENTITY)", text):
         raise InputError(f"{path}: found a DOCTYPE or an ENTITY; must be plain XML")
     try:
@@ -372,4 +367,5 @@ FORMAT = Format(
     detect=is_one,
     extra=EXTRA,
     products=products,
+    folder=("annotation", "a SAFE folder"),
 )

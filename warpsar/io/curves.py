@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpsar.errors import InputError
+from warpsar.io import input_file
 from warpsar.io.images import replacing
 
 LARGEST_FILE = 2**26
@@ -82,7 +83,7 @@ class RcsTable:
 
 def read(path: Path) -> RcsTable:
     """Read a file of curves. Raises InputError, one message that names the file."""
-    text = _text(path)
+    text = input_file.read_text(path, "a file of curves", LARGEST_FILE)
     first = next((line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")), "")
     numbers = _numbers(first.replace(",", " ").split())
     table = _suite(path, text) if numbers is not None else _csv(path, text)
@@ -102,15 +103,11 @@ def read_profiles(
 
     Azimuths go evenly from the first to the last. Raises InputError.
     """
-    try:
-        size = path.stat().st_size
-        if not path.is_file() or size > LARGEST_FILE:
-            raise InputError(f"{path}: found {size} bytes; must be a file of at most {LARGEST_FILE}")
-        if not size or size % (8 * bins):
-            raise InputError(f"{path}: found {size} bytes; must be a multiple of {8 * bins}, {bins} bins of complex64")
-        samples = np.fromfile(path, "<c8").reshape(-1, bins)[:, chosen]
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+    data = input_file.read_bytes(path, "a file of range profiles", LARGEST_FILE)
+    size = len(data)
+    if not size or size % (8 * bins):
+        raise InputError(f"{path}: found {size} bytes; must be a multiple of {8 * bins}, {bins} bins of complex64")
+    samples = np.frombuffer(data, "<c8").reshape(-1, bins)[:, chosen]
     azimuth = np.linspace(*azimuths_deg, len(samples))[::every]
     power = np.abs(samples[::every].astype(np.complex128)) ** 2
     if not np.isfinite(power).all():
@@ -129,19 +126,6 @@ def write_csv(path: Path, table: RcsTable) -> None:
         columns = (table.frequency_hz, table.incidence_deg, 90.0 - table.azimuth_deg, decibels)
         for row, pol in zip(zip(*(c.tolist() for c in columns), strict=True), table.polarization, strict=True):
             writer.writerow((*(f"{value:.12g}" for value in row), pol))
-
-
-def _text(path: Path) -> str:
-    try:
-        if path.exists() and not path.is_file():  # a FIFO waits for ever
-            raise InputError(f"{path}: cannot be read as curves (a directory, pipe or device)")
-        if (size := path.stat().st_size) > LARGEST_FILE:
-            raise InputError(f"{path}: found a file of {size} bytes; curves have at most {LARGEST_FILE}")
-        return path.read_bytes().decode("utf-8-sig")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
-    except ValueError as error:
-        raise InputError(f"{path}: no text in UTF-8, so no curves") from error
 
 
 def _numbers(words: Sequence[str]) -> list[float] | None:

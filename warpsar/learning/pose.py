@@ -1,4 +1,9 @@
-"""Surface parameters, effects and geometry together: images, derivatives, and a descent."""
+"""Surface parameters, effects and geometry together: images, derivatives, and a descent.
+
+A derivative to a pose needs two renders of each view, and nothing of what a fit records beside them. So only the hits
+are traced anew, and only where a body can change the image. The power before the image stage is enough: a body changes
+it near by alone, whatever sidelobes a point has.
+"""
 
 from __future__ import annotations
 
@@ -11,10 +16,11 @@ import numpy as np
 import warp as wp
 
 from warpsar.compare.observation import Observation
+from warpsar.effects.base.effect import DeclaredEffect
+from warpsar.effects.registry import declared, get
 from warpsar.learning.geometry import Geometry
 from warpsar.learning.identify import Identified, of_information, score_products
 from warpsar.learning.pose_sharing import Box, boxes, columns_of, faces_about, shared
-from warpsar.learning.posed_images import render_elsewhere, without_paths
 from warpsar.learning.prior import Known, Prior
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.view import FitView
@@ -25,9 +31,11 @@ from warpsar.runtime.deadline import check
 from warpsar.runtime.matmul import gram_by_tiles, transposed_times
 from warpsar.scene.scene import Scene
 from warpsar.simulation.exact_rays import ExactRays
+from warpsar.simulation.rays import effects_grid
 from warpsar.speckle.likelihood import residual_sd
 from warpsar.speckle.residual import residual_autocovariance
 from warpsar.surface.stage import Stage
+from warpsar.trace.target import Target
 
 POSE_STEP_M = 2e-3  # of a difference: its error is under 1e-3 of a derivative (docs/learn-method.md)
 LIT = 0.1  # share of a pixel that is no floor, from which its residual tells of speckle
@@ -41,6 +49,58 @@ STANDS_M = 1e-2  # standard deviation of a foot's height about the ground that i
 DAMPED = 1e-3  # damping of a first step, and least one after a step that gained nothing
 FEW_RAYS = 0.25  # of the scene's: for paths over several surfaces where images are only screened
 FLAT = 2e-3  # gain in log-likelihood that counts as none
+
+
+def without_paths(scene: Scene) -> Scene:
+    """The scene with single bounces alone."""
+    if all(get(name).stage != "path" for name in scene.effects):
+        return scene
+    return replace(scene, effects={name: t for name, t in scene.effects.items() if get(name).stage != "path"})
+
+
+def render_elsewhere(
+    problem: FitProblem,
+    view: FitView,
+    x: np.ndarray,
+    scene: Scene,
+    columns: tuple[int, int] | None = None,
+    faces: np.ndarray | None = None,
+    *,
+    paths: bool = True,
+) -> ViewRender:
+    """The view with its geometry as `scene` has it; surface and effects as x of `problem` says. It has run.
+
+    `columns`: from the first to before the last column of the image that is made; the others stay without hits.
+    `faces`: those that are there, shape (faces,), as `exact_hits` has them; by default all.
+    `paths`: whether light that went over several surfaces is in them. The scene has the faces of the problem's own, in
+    the same order. Raises TimeUp where the time of the run is over.
+    """
+    check()
+    there = next(one for one in scene.views if one.name == view.view.name)
+    placed = replace(scene, effects=problem.effect_tables(x))
+    placed = placed if paths else without_paths(placed)
+    effects = declared(placed, there, neutral=True)
+    stage = replace(problem.stage, target=Target.upload(scene.mesh, scene.reference_point_m, problem.device))
+    rays = ExactRays(stage, seed=scene.sampling.seed)
+    hits = rays.trace(placed, there, effects, _of_the_grid(placed, effects, columns), only_faces=faces)
+    render = ViewRender(stage, there, hits, scene.grid.shape, tuple(there.images), effects)
+    render.set_parameters(problem.float_nodes(x))
+    render.forward()
+    return render
+
+
+def _of_the_grid(
+    scene: Scene, effects: list[DeclaredEffect], columns: tuple[int, int] | None
+) -> tuple[int, int] | None:
+    """The columns of the hits' grid that columns of the image are, one at least."""
+    if columns is None:
+        return None
+    grid, wide = effects_grid(scene, effects), scene.grid.shape[1]
+    fine = grid.bins_per_pixel
+    margin = (grid.shape[1] // fine - wide) // 2
+    first, last = (min(max(column + margin, 0) * fine, grid.shape[1]) for column in columns)
+    first = min(first, grid.shape[1] - 1)  # one column at least: a body may lie beside a view's image
+    return first, max(last, first + 1)
 
 
 class PosedProblem:

@@ -1,8 +1,8 @@
 """Measured radar data, brought onto the slant-plane grid of a view.
 
 importer: `warpsar import`. gridding: a measurement onto a view's grid. focus: phase history to image. plane: the
-same onto a plane grid, fast. ground: where pixels lie. curves: radar cross-sections. chips, view_table: many chips and
-a table of their angles, in one call, and which of them are held back.
+same onto a plane grid, fast. ground: where pixels lie. curves: radar cross-sections. chips: many chips and a table
+of their angles, in one call, and which of them are held back.
 response: the width of the response that a header declares, as `[effects.point_spread]`. placed: where a scene lies on
 a map.
 """

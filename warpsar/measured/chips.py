@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import csv
+import io
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from warpsar.errors import InputError
 from warpsar.formats import registry
 from warpsar.formats.base.data import ImageChip, Quantity, RadarAt
+from warpsar.io import input_file
 from warpsar.io.images import write_exr
 from warpsar.io.quick_look import contact_sheet
-from warpsar.measured import view_table
 from warpsar.measured.gridding import Gridding, on_grid
 from warpsar.measured.importer import (
     Scale,
@@ -26,8 +30,79 @@ from warpsar.measured.importer import (
     quick_look,
     rounding,
 )
+from warpsar.scene.file import refuse
 from warpsar.speckle.looks import equivalent_looks
+from warpsar.world.problems import first_problem
 from warpsar.world.tables import View
+
+NAMES = ("chip", "view", "name")
+ELEVATIONS = ("incidence_deg", "depression_deg", "grazing_deg")
+_LARGEST_BYTES = 2**24
+
+
+def read_views(path: Path) -> dict[str, View]:
+    """The views of a table, by chip name: columns `chip` (or view, or name), azimuth_deg, one of incidence_deg,
+    depression_deg and grazing_deg, and, if stated, role and looks. Other columns are not read.
+
+    Raises InputError, one message with all that is wrong, before any image is read.
+    """
+    text = input_file.read_text(path, "a table of views", _LARGEST_BYTES)
+    try:
+        reader = csv.DictReader(io.StringIO(text, newline=""))
+        rows, columns = list(reader), list(reader.fieldnames or [])
+    except csv.Error as error:
+        raise InputError(f"{path}: cannot be read as a table of views ({error})") from None
+    name = _one_of(path, columns, NAMES)
+    elevation = _one_of(path, columns, ELEVATIONS)
+    if "azimuth_deg" not in columns:
+        raise InputError(f"{path}: found the columns {', '.join(columns)}; azimuth_deg is missing")
+    found: dict[str, View] = {}
+    problems: list[str] = []
+    for number, row in enumerate(rows, 2):
+        stated = {key: row.get(key) for key in ("azimuth_deg", elevation, "looks", "role") if row.get(key)}
+        if row[name] in found:
+            problems.append(f"line {number}: {row[name]} stands twice")
+            continue
+        try:
+            found[row[name]] = View.model_validate({"name": row[name]} | {k: _value(k, v) for k, v in stated.items()})
+        except ValueError as error:
+            problems.append(f"line {number} ({row[name]}): {first_problem(error, View)}")
+    refuse(path, problems)
+    return found
+
+
+def _chosen(path: Path, views: dict[str, View], sources: Iterable[Path]) -> list[tuple[Path, View]]:
+    """Every source with the view that its file name, less the suffix, names. Raises InputError for one without."""
+    pairs, problems, seen = [], [], set()
+    for source in sources:
+        if source.stem in seen:
+            problems.append(f"{source}: a chip of this name is given twice")
+        elif source.stem not in views:
+            problems.append(f"{source}: no line of the table is called {source.stem}")
+        else:
+            pairs.append((source, views[source.stem]))
+        seen.add(source.stem)
+    refuse(path, problems)
+    return pairs
+
+
+def _one_of(path: Path, columns: list[str], allowed: tuple[str, ...]) -> str:
+    found = [column for column in columns if column in allowed]
+    if len(found) != 1:
+        raise InputError(
+            f"{path}: found the columns {', '.join(columns)}; exactly one of {', '.join(allowed)} is needed"
+        )
+    return found[0]
+
+
+def _value(key: str, text: Any) -> Any:
+    if key == "role":
+        return text
+    try:
+        number = float(text)
+    except ValueError:
+        number = math.nan
+    return number if math.isfinite(number) else text
 
 
 @dataclass(frozen=True)
@@ -60,17 +135,17 @@ def import_chips(
 ) -> ImportedChips:
     """Bring slant-plane pictures onto the grid of a scene, each as the view that the table names after its file.
 
-    Views that the scene file has already keep what it says and get the image. `view_table.read` says what a table
+    Views that the scene file has already keep what it says and get the image. `read_views` says what a table
     holds, and `assigned` what `role`, `train` and `held_back` do; the other arguments are those of
     `import_measured`. The scene file is written once, at the end. Raises
     InputError for a table or a file that cannot be read, and for a file that the table does not name.
     """
     scene_path, table = Path(scene_path), Path(table)
     paths = [Path(source) for source in sources]
-    views = view_table.read(table)
-    named = [view.name for _, view in view_table.chosen(table, views, paths)]
+    views = read_views(table)
+    named = [view.name for _, view in _chosen(table, views, paths)]
     views = assigned(table, views, named, role=role, train=train, held_back=held_back)
-    pairs = view_table.chosen(table, views, paths)
+    pairs = _chosen(table, views, paths)
     scene, _ = opened(scene_path, pairs[0][1].name)
     known = {view.name for view in opened(scene_path, None)[0].views}
     clipped, done, pictures = [], [], []

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from functools import cache
 from importlib import import_module
-from pkgutil import iter_modules
 
 from warpsar.models.base.model import BackscatterModel, SurfaceParameter
 from warpsar.models.base.parameters import OF_SURFACES
+from warpsar.runtime.plugins import names_in
 
 
 @cache
 def names() -> tuple[str, ...]:
     """All models by their `order`: the default is the first."""
-    modules = iter_modules(import_module(__package__).__path__)
-    found = [module.name for module in modules if not module.ispkg and module.name != "registry"]
-    return tuple(sorted(found, key=lambda name: (get(name).order, name)))
+    return tuple(sorted(names_in(__package__), key=lambda name: (get(name).order, name)))
 
 
 @cache

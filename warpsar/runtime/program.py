@@ -215,6 +215,12 @@ class Program:
         self._steps.append(_Step(kernel, dim, inputs, outputs, command, adjoint, keeping and cache(keeping)))
         self._parts.clear()
 
+    def mapped(self, kernel: wp.Kernel, like: wp.array, inputs: Sequence[Any]) -> Any:
+        """Record a launch of a kernel that writes an array like `like`, an element in each thread: this new array."""
+        result = self.array(like.shape, like.dtype)
+        self.launch(kernel, like.shape[0], inputs, [result])
+        return result
+
     def part(self, wanted: Iterable[wp.array], changed: Iterable[wp.array] | None = None) -> ProgramPart:
         """The launches that bring the arrays `wanted` up to date once the arrays `changed` have changed.
 

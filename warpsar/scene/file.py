@@ -12,6 +12,7 @@ from pydantic import Field, ValidationError, field_validator
 
 from warpsar.effects.registry import validate
 from warpsar.errors import InputError, listed, shown
+from warpsar.io import input_file
 from warpsar.world.collection import Antenna, AntennaChannels, Collection, CollectionErrors, Transmitter
 from warpsar.world.curve import Curve
 from warpsar.world.library.fill import filled, of_one_frequency
@@ -135,20 +136,7 @@ def _read_text(path: Path) -> str:
         raise InputError(
             f"{path}: found a mesh; must be a scene file: warpsar new FOLDER {path.name} writes one for it"
         )
-    try:
-        if path.exists() and not path.is_file():  # a FIFO waits for ever, a device never ends
-            raise InputError(f"{path}: cannot be read as a scene file (a directory, pipe or device)")
-        if (size := path.stat().st_size) > LARGEST_FILE:
-            raise InputError(f"{path}: found a scene file of {size} bytes; must be at most {LARGEST_FILE}")
-        data = path.read_bytes()
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise InputError(f"{path}: cannot be read as a scene file ({reason})") from error
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        byte = f"byte {error.start} is 0x{data[error.start]:02x}"
-        raise InputError(f"{path}: not UTF-8 text ({byte})") from error
+    return input_file.read_text(path, "a scene file", LARGEST_FILE)
 
 
 def parse(raw: dict[str, Any]) -> tuple[SceneFile | None, list[str]]:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpsar.errors import InputError, shown
+from warpsar.io import input_file
 
 GEOJSON = (".geojson", ".json")
 CITYGML = (".gml", ".citygml", ".xml")
@@ -58,12 +59,7 @@ class Buildings:
 
 def read(path: Path) -> Buildings:
     """The buildings of a file. Raises InputError for a file that is broken or holds none."""
-    try:
-        if path.stat().st_size > LARGEST_FILE:
-            raise InputError(f"{path}: found {path.stat().st_size} bytes; must be at most {LARGEST_FILE}")
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+    data = input_file.read_bytes(path, "a file of buildings", LARGEST_FILE)
     made = _geojson(path, data) if path.suffix.lower() in GEOJSON else _citygml(path, data)
     if not made.found:
         raise InputError(f"{path}: found no building; must hold one or more")

@@ -27,7 +27,7 @@ from warpsar.trace.hits import DEFAULT_MEMORY_GIB
 from warpsar.world.tables import View
 
 AHEAD = 2  # images whose files wait to be written
-TOLD_EVERY = 8  # images, to the progress bar that counts those of all processes
+REPORTED_EVERY = 8  # images, to the progress bar that counts those of all processes
 
 
 @dataclass
@@ -138,8 +138,8 @@ def _make(
                 tally.failures[str(path)] = str(error)
                 continue
             numbers = range(share.part, len(maker.views), share.of)
-            for start in range(0, len(numbers), TOLD_EVERY):
-                some = numbers[start : start + TOLD_EVERY]
+            for start in range(0, len(numbers), REPORTED_EVERY):
+                some = numbers[start : start + REPORTED_EVERY]
                 for number in some:
                     _make_one(maker, number, tally, beside)
                 bar.update(finished(len(some)) + len(some) - bar.n)

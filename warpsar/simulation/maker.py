@@ -68,7 +68,7 @@ class Maker:
         refuse_without_views(self.scene)
         refuse_unlikely_size(self.scene, yes)
         console.warn(self.scene.warnings)
-        self._told = False
+        self._warned = False
         self.fresh = made is not None
         self.views = self.scene.views if made is None else made
         if self.fresh:
@@ -130,8 +130,8 @@ class Maker:
         scene = replace(self.scene, views=[view]) if self.fresh else self.scene
         simulation = Simulation(scene, self.stage, **asdict(self.options))
         made = simulation.view(view, self._seed(number))
-        if not self._told:  # of the first image of a scene: the others would say the same
-            self._told = True
+        if not self._warned:  # of the first image of a scene: the others would say the same
+            self._warned = True
             found = grid_warnings(scene, self.stage, [view]) + simulation.findings.warnings(scene)
             console.warn(f"{self.path}: {warning}" for warning in found)
         return made

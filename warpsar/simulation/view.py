@@ -87,7 +87,7 @@ class SimulatedView:
             "range": ("range", self.range_m, _axis("slant range")),
             "polarization": ("polarization", list(self.beta0), {"long_name": "transmitted and received polarization"}),
         }
-        facts = {name: value for name, value in self.metadata.items() if name not in _SAID_ELSEWHERE}
+        facts = {name: value for name, value in self.metadata.items() if name not in _ELSEWHERE}
         if "slant_range_m" in facts:
             told = {"units": "m", "long_name": "distance from the track"}
             coordinates["slant_range"] = ("range", self.range_m + facts["slant_range_m"], told)
@@ -95,7 +95,7 @@ class SimulatedView:
         return xarray.Dataset(variables, coordinates, {"Conventions": "CF-1.11", "title": title, **facts})
 
 
-_SAID_ELSEWHERE = ("axes", "polarizations", "quantity", "units", "scale")  # by dimensions, coordinates, and beta0
+_ELSEWHERE = ("axes", "polarizations", "quantity", "units", "scale")  # by dimensions, coordinates, and beta0
 _BETA0 = {"units": "1", "long_name": "radar brightness beta0, linear power"}
 
 

@@ -29,7 +29,7 @@ POOR = 4.0  # chi-square for each degree of freedom, from which an explanation i
 BETWEEN_95 = 1.96
 CLUMPED = 0.01  # of the scatter, that pixels must share for sure where the power varies in clumps
 WIDEST = 5.0  # of a logarithm, that an interval reaches to either side
-TOLD = 3.0  # factor to either side, within which an interval must lie for its number to be found
+FOUND_FACTOR = 3.0  # factor to either side, within which an interval must lie for its number to be found
 
 Kind = Literal["declared", "looks", "texture", "looks and texture", "none of them", "not told"]
 
@@ -64,7 +64,7 @@ class Estimate:
     @property
     def known(self) -> bool:
         """Whether the interval says something of the number."""
-        return self.high < TOLD * self.value
+        return self.high < FOUND_FACTOR * self.value
 
     def __str__(self) -> str:
         return f"{self.value:.3g} ({self.low:.3g} to {self.high:.3g})"

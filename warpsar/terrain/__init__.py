@@ -1,7 +1,6 @@
 """What should a product show of the ground that an elevation model gives? The command `twin`.
 
-datum.py         from the heights of a file to heights above the ellipsoid
-elevation.py     an elevation model: read in windows, placed on the earth
+elevation.py     an elevation model: read in windows, to heights above the ellipsoid, placed on the earth
 landcover.py     classes of land cover become surfaces of the library
 buildings.py     buildings on the elevation model
 scenery.py       surfaces, land cover and buildings together

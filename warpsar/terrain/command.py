@@ -215,7 +215,7 @@ def _digest(*paths: Path) -> str:
 # ---- report.html
 
 
-SAID = {
+CAPTIONS = {
     "image.png": "On the product's grid: lines downward, pixels to the right. Blue: no ground, or nothing is seen",
     "map.png": "On the map",
     "comparison.png": "Cells of the measured and the simulated image, and what is left, less its median",
@@ -241,7 +241,7 @@ def write_report(
 ) -> None:
     """`content` is that of twin.json, `command` the words that made it."""
     lead = f"warpsar twin {content['version']}; {content['product']}, {content['acquired'][:19]} UTC"
-    pictures = {name: report.picture(_png(figure), SAID[name]) for name, figure in drawn.items()}
+    pictures = {name: report.picture(_png(figure), CAPTIONS[name]) for name, figure in drawn.items()}
     compared = [report.paragraph(_sentence(each)) for each in words_of(against)]
     if against is not None:
         compared += [pictures.pop("comparison.png")] if "comparison.png" in pictures else []

@@ -6,6 +6,8 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from pydantic import ValidationError
+
 from warpsar.errors import did_you_mean, shown
 
 
@@ -32,3 +34,11 @@ def problem(key: str, details: Mapping[str, Any], known: Iterable[str]) -> str:
 def keys_of(model: Any) -> list[str]:
     """The keys of a table as a scene file has them."""
     return [info.alias or name for name, info in model.model_fields.items()]
+
+
+def first_problem(error: ValueError, table: Any) -> str:
+    """The first of pydantic's errors in making a table, in one line; any other error in its own words."""
+    if not isinstance(error, ValidationError):
+        return str(error)
+    details = error.errors(include_url=False)[0]
+    return problem(".".join(map(str, details["loc"])), details, keys_of(table))

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpsar.errors import InputError
+from warpsar.io import input_file
 from warpsar.io.images import replacing
 
 LARGEST_FILE = 2**24
@@ -83,11 +84,8 @@ class ScatteringTerm:
 
 def read(path: Path | str) -> ScatteringTerm:
     """Read a term. Raises InputError for a file that is none."""
+    raw = input_file.read_bytes(Path(path), "a learned term of sigma0", LARGEST_FILE)
     try:
-        with Path(path).open("rb") as stream:
-            raw = stream.read(LARGEST_FILE + 1)
-        if len(raw) > LARGEST_FILE:
-            raise ValueError(f"found more than {LARGEST_FILE} bytes")
         data = json.loads(raw)
         if data["features"] != list(FEATURES):
             raise ValueError(f"features: found {data['features']}; must be {list(FEATURES)}")
@@ -97,7 +95,7 @@ def read(path: Path | str) -> ScatteringTerm:
         scale = float(data["spread_db"]), float(data["noise_db"])
         _refuse(places, width, weights, used, scale)
         return ScatteringTerm(str(data["model"]), places, width, weights, *scale, used)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(f"{path}: {type(error).__name__}: {error}; must be a learned term of sigma0") from None
 
 

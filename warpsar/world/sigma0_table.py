@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpsar.errors import InputError, shown
+from warpsar.io import input_file
 from warpsar.io.images import replacing
 from warpsar.kernels.codes import Polarization
 
@@ -55,14 +56,7 @@ class Sigma0Table:
 
 def read(path: Path) -> Sigma0Table:
     """Read columns `incidence_deg` and one or more of HH, VV, HV [dB]. Raises InputError."""
-    try:
-        with path.open("rb") as stream:
-            raw = stream.read(LARGEST_FILE + 1)
-        text = raw.decode("utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: {error}; must be a CSV of {ANGLE} and {', '.join(CHANNELS)}") from None
-    if len(raw) > LARGEST_FILE:
-        raise InputError(f"{path}: found more than {LARGEST_FILE} bytes; must be a table of sigma0 over incidence")
+    text = input_file.read_text(path, f"a CSV of {ANGLE} and {', '.join(CHANNELS)}", LARGEST_FILE)
     try:
         rows = [[cell.strip() for cell in row] for row in csv.reader(io.StringIO(text)) if any(map(str.strip, row))]
     except csv.Error as error:

@@ -14,7 +14,7 @@ from scipy.ndimage import uniform_filter
 from warpsar.compare.aim import Reach
 from warpsar.compare.comparison import ratio_db
 from warpsar.compare.prediction import THEN, measured_of, predicted, summaries
-from warpsar.diagnosis.held_out.search import BOXED, TOLD, HeldOut, TrialStep
+from warpsar.diagnosis.held_out.search import BOXED, FRONT_ERRORS, HeldOut, TrialStep
 from warpsar.evaluation.report_parts import beta0_rgb, image_axes, reach_db, residual_rgb, residual_scale
 from warpsar.evaluation.report_prediction import prediction_table
 from warpsar.io import html as report
@@ -59,7 +59,7 @@ def _unasked(found: HeldOut) -> str:
 
 
 def _is_known(step: TrialStep) -> bool:
-    return -step.gain > TOLD * step.error
+    return -step.gain > FRONT_ERRORS * step.error
 
 
 def front_words(label: str, step: TrialStep) -> str:

@@ -25,7 +25,7 @@ FIRST_SD = 0.3  # of neighbours' difference, in log coordinates, before anything
 TURNS = 4  # of expectation and maximisation: from one to the next the precisions then change by little
 STEPS = 4  # of a fit in each turn
 DRAWS = 24  # of what the data leave open
-TOLD = 1.0  # information from which on the data tell something of a node: its logarithm to 1
+INFORMED = 1.0  # information from which on the data tell something of a node: its logarithm to 1
 
 
 def has_fields(scene: Scene) -> bool:
@@ -75,7 +75,7 @@ def _errors(problem: FitProblem, x: np.ndarray, random: np.random.Generator) -> 
     drawn = tangent.T @ random.standard_normal((tangent.shape[0], DRAWS))
     drawn = drawn + prior.rows.T @ random.standard_normal((prior.rows.shape[0], DRAWS))
     weak = diags_array(np.full(x.size, 1e-6 * curvature.diagonal().mean()))
-    return solved(factor(csc_array(curvature + weak)), np.asarray(drawn)), information.diagonal() > TOLD
+    return solved(factor(csc_array(curvature + weak)), np.asarray(drawn)), information.diagonal() > INFORMED
 
 
 def factor(matrix: csc_array) -> SuperLU:

@@ -74,9 +74,9 @@ def _against(setup: FitSetup, fitted: Fitted, name: str, other: Candidate) -> Ef
     apart = (looks * np.sum(np.log(a / b) ** 2) for (a, looks), (b, _) in zip(ours, others, strict=True))
     distance = float(once.decide(float(sum(apart))))
     error = 2.0 * float(np.sqrt(max(distance * evidence.area, 1e-12)))
-    lead = gain - expected * evidence.price()
+    margin = gain - expected * evidence.price()
     return EffectRival(
-        name, other.effect, theirs.scene, gain, distance, (gain - expected + distance) / error, lead, error
+        name, other.effect, theirs.scene, gain, distance, (gain - expected + distance) / error, margin, error
     )
 
 

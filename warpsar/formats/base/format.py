@@ -38,7 +38,7 @@ class Format:
     name: str
     title: str
     """As its users call it."""
-    told_by: str
+    known_by: str
     """How a file is recognised, for the documentation."""
     gives: str
     """What it holds, for the documentation."""
@@ -55,6 +55,8 @@ class Format:
     products: Callable[[Path, str | None], tuple[Product, ...]] | None = None
     """What a file, or a folder, holds as images of the earth with an orbit, of all polarizations or of the one named;
     None for what has no orbit."""
+    folder: tuple[str, str] | None = None
+    """Of what is handed on as a folder: the folder inside that tells it, and what users call it."""
     no_products: str = "which says no orbit"
     """Why `products` is None, as a clause behind the title."""
     extra: Extra | None = None

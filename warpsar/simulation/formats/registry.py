@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from warpsar.formats.base.folder import names_in
+from warpsar.runtime.plugins import names_in
 
 if TYPE_CHECKING:  # the command line asks for names, and loads no NumPy for them
     from warpsar.simulation.image_format import ImageFormat

@@ -9,7 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from warpsar.errors import InputError
+from warpsar.io import input_file
 from warpsar.world.objects.table import Object
+from warpsar.world.problems import first_problem
 
 POSITION = (("east_m", "x_m"), ("north_m", "y_m"), ("up_m", "z_m"))
 """The columns of each element of a position: either name."""
@@ -52,7 +54,7 @@ def posed(one: Object, path: Path) -> list[Object]:
             table = {**stated, "name": f"{one.label}{k:03d}", **_stated(row, one)}
             found.append(Object.model_validate(table))
         except ValueError as error:
-            problems.append(f"{path}: line {line}: {_short(error)}")
+            problems.append(f"{path}: line {line}: {first_problem(error, Object)}")
     if not rows:
         problems.append(f"{path}: found no line with a pose; must have one for each body")
     if problems:
@@ -62,13 +64,11 @@ def posed(one: Object, path: Path) -> list[Object]:
 
 def _rows(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
     """The names of the columns, and every row with the number of its line."""
+    text = input_file.read_text(path, "a file of poses", MOST_BYTES)
     try:
-        if not path.is_file() or path.stat().st_size > MOST_BYTES:
-            raise InputError(f"{path}: cannot be read as a file of poses (must be a CSV file of at most 16 MiB)")
-        text = path.read_text(encoding="utf-8-sig")
         lines = [(k, line) for k, line in enumerate(text.splitlines(), 1) if line.strip() and line.lstrip()[0] != "#"]
         cells = [(k, [cell.strip() for cell in row]) for k, line in lines for row in csv.reader([line], strict=True)]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+    except csv.Error as error:
         raise InputError(f"{path}: cannot be read as a file of poses ({error})") from None
     if not cells:
         raise InputError(f"{path}: cannot be read as a file of poses (no line names the columns)")
@@ -103,12 +103,3 @@ def _number(key: str, text: str) -> float:
     if not math.isfinite(number):
         raise ValueError(f"{key}: found {text[:40]!r}; must be a number")
     return number
-
-
-def _short(error: ValueError) -> str:
-    """The first of pydantic's complaints, in a line."""
-    errors = getattr(error, "errors", None)
-    if errors is None:
-        return str(error)
-    first = errors()[0]
-    return f"{'.'.join(map(str, first['loc'])) or 'body'}: {str(first['msg']).removeprefix('Value error, ')}"
