@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from warpsar.diagnosis.phase.ask import asked, asked_of_motion, folds_of
+from warpsar.diagnosis.phase.ask import asked, folds_of
 from warpsar.diagnosis.phase.fit import MOTION, POLYNOMIAL, QUADRATIC, fitted
 from warpsar.diagnosis.phase.spectrum import AzimuthSpectrum, corrected, mean_contrast_and_slope
 from warpsar.world.taper import taper
@@ -88,7 +88,7 @@ def test_rows_of_a_fold_lie_apart() -> None:
 
 
 def test_few_rows_are_not_tested() -> None:
-    found = asked(folds(image(lambda x: 0.0 * x, shape=(24, COLS))))
+    found = asked(folds(image(lambda x: 0.0 * x, shape=(24, COLS)))).phase
     assert found.outcome == "not testable"
     assert "rows in one half" in found.why
 
@@ -107,7 +107,7 @@ def test_few_rows_are_not_tested() -> None:
     ids=["points", "edge", "points without", "edge without", "speckle", "speckle without"],
 )
 def test_what_is_said(turn: float, kind: dict[str, Any], outcome: str) -> None:
-    found = asked(folds(image(lambda x: turn * x**2, **kind, seed=3)))
+    found = asked(folds(image(lambda x: turn * x**2, **kind, seed=3))).phase
     assert found.outcome == outcome, found
     if outcome == "named":
         assert found.coefficients[0] == pytest.approx(TURN, rel=0.05)
@@ -118,7 +118,7 @@ def test_what_is_said(turn: float, kind: dict[str, Any], outcome: str) -> None:
 def test_real_weights_are_no_phase() -> None:
     """An image that is blurred by a narrow band, with points that are the same to either side: nothing is named."""
     made = image(lambda x: 3j * x**2, points=12)  # exp(j 3j x^2): weights that fall to the band's edge
-    assert asked(folds(made)).outcome in ("absent", "not told")
+    assert asked(folds(made)).phase.outcome in ("absent", "not told")
 
 
 @pytest.mark.full
@@ -130,7 +130,7 @@ def test_real_weights_are_no_phase() -> None:
 def test_a_phase_that_goes_with_range_is_told(same: float, aside: float, points: int, outcome: str) -> None:
     """2 pi at the ends of range, to 5 %; what all ranges share is `phase_error`, and no error of the track is named."""
     lines = folds(image(lambda x: (same + aside * ASIDE[:, None]) * x**2, points=points))
-    found = asked_of_motion(lines)
+    found = asked(lines).motion
     assert found.outcome == outcome, found
     if outcome == "named":
         assert found.aside[0] == pytest.approx(aside, rel=0.05)
@@ -139,4 +139,4 @@ def test_a_phase_that_goes_with_range_is_told(same: float, aside: float, points:
 
 def test_without_look_directions_nothing_is_said_of_the_track() -> None:
     lines = [AzimuthSpectrum.of(image(lambda x: 0.0 * x)[mask], SPACING, CELLS) for mask in folds_of(ROWS, 0.3, 0.59)]
-    assert asked_of_motion(lines).outcome == "not testable"
+    assert asked(lines).motion.outcome == "not testable"
