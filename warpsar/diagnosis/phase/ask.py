@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpsar.diagnosis.phase.fit import MOTION, POLYNOMIAL, QUADRATIC, QUADRATIC_MOTION, SPLINE, PhaseFamily, fitted
-from warpsar.diagnosis.phase.least import ACROSS, CUBIC, FOUND, SIZES_RAD, SQUARE, least_found, shows
+from warpsar.diagnosis.phase.least import ACROSS, CUBIC, FOUND, SQUARE, least_found
 from warpsar.diagnosis.phase.search import SURE, Present, Rows, Speckle, moved, present
 from warpsar.diagnosis.phase.spectrum import AzimuthSpectrum
 
@@ -104,7 +104,7 @@ def asked(folds: Sequence[AzimuthSpectrum], seed: int = 0) -> Asked:
     rows = Rows(folds)
     speckle = Speckle(rows, seed)
     found = present(rows, speckle)
-    if found.named and shows(rows, speckle, SQUARE, SIZES_RAD[-1]) >= FOUND:
+    if found.named:
         return _named(rows, speckle, found)
     least = least_found(rows, speckle, SQUARE)
     if least is None:
