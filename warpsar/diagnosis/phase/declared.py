@@ -76,7 +76,7 @@ class PhaseAsked:
         tied = f"{MOTION_ERROR}: tied: an error of the track along the line of sight gives all ranges this phase, too"
         if one.least_rad is None or self.aside_m is None:
             return f"{tied}; whether the phase changes with range cannot be told here"
-        return f"{tied}; one across it would have shown from {one.least_rad * self.aside_m:.3g} m on"
+        return f"{tied}; one across it would be found from {one.least_rad * self.aside_m:.3g} m on"
 
     def _of_phase(self) -> str:
         one = self.found
