@@ -124,7 +124,13 @@ def test_real_weights_are_no_phase() -> None:
 @pytest.mark.full
 @pytest.mark.parametrize(
     ("same", "aside", "points", "outcome"),
-    [(3.0, TURN, 16, "named"), (-3.1, 4.4, 16, "named"), (0.0, TURN, 16, "named"), (TURN, 0.0, 16, "absent"), (0.0, TURN, 0, "not testable")],
+    [
+        (3.0, TURN, 16, "named"),
+        (-3.1, 4.4, 16, "named"),
+        (0.0, TURN, 16, "named"),
+        (TURN, 0.0, 16, "absent"),
+        (0.0, TURN, 0, "not testable"),
+    ],
     ids=["both", "a mix", "with range alone", "the same at all ranges", "speckle"],
 )
 def test_a_phase_that_goes_with_range_is_told(same: float, aside: float, points: int, outcome: str) -> None:
@@ -169,7 +175,8 @@ def test_an_error_of_the_size_that_is_stated_is_found() -> None:
 @pytest.mark.full
 def test_an_image_that_is_blurred_already_states_a_larger_error() -> None:
     """An error of 1.2 rad that is not found takes back what a second one of the other sign does."""
-    sharp, blurred = (asked(folds(image(lambda x, size=size: size * x**2, points=12, seed=3))).phase for size in (0, 1.2))
+    images = [image(lambda x, size=size: size * x**2, points=12, seed=3) for size in (0.0, 1.2)]
+    sharp, blurred = (asked(folds(made)).phase for made in images)
     assert sharp.outcome == blurred.outcome == "absent"
     assert sharp.least_rad is not None
     assert blurred.least_rad is not None

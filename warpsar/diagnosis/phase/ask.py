@@ -110,8 +110,8 @@ def asked(folds: Sequence[AzimuthSpectrum], seed: int = 0) -> Asked:
     if least is None:
         return _both(
             "not testable",
-            "an error of 2 pi at the ends of the aperture, put into the image as it is, would not be found: there are no "
-            "points and no edges that tell",
+            "an error of 2 pi at the ends of the aperture, put into the image as it is, would not be found: there are "
+            "no points and no edges that tell",
         )
     told = partial(
         PhaseFound,
@@ -126,8 +126,8 @@ def asked(folds: Sequence[AzimuthSpectrum], seed: int = 0) -> Asked:
     cubic = least_found(rows, speckle, CUBIC)
     more = "" if cubic is None else f", a cubic one from {cubic:.2g} rad on"
     why = (
-        f"rows that decided nothing get no sharper; in this image a quadratic error would be found from {least:.2g} rad "
-        f"on{more} ({FOUND:.0%} of draws)"
+        f"rows that decided nothing get no sharper; in this image a quadratic error would be found from {least:.2g} "
+        f"rad on{more} ({FOUND:.0%} of draws)"
     )
     return Asked(told("absent", why, least_cubic_rad=cubic), _not_moved(rows, speckle))
 
