@@ -104,6 +104,8 @@ def asked(folds: Sequence[AzimuthSpectrum], seed: int = 0) -> Asked:
     rows = Rows(folds)
     speckle = Speckle(rows, seed)
     found = present(rows, speckle)
+    if found.named and not speckle.tells(found.family):
+        return _both("not testable", "beside the best phase contrast falls no more than that of speckle does")
     if found.named:
         return _named(rows, speckle, found)
     least = least_found(rows, speckle, SQUARE)

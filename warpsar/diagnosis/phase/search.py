@@ -5,7 +5,7 @@ The decisions stand here, so that `ask.py` and the probes of `least.py` go by th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -28,6 +28,7 @@ F64 = NDArray[np.float64]
 DRAWS = 12
 SURE = 4.0
 """Standard deviations of speckle's own gains that a gain must reach."""
+PROBE_RAD = 2.0 * np.pi
 PAIRS = ((QUADRATIC_MOTION, QUADRATIC), (MOTION, POLYNOMIAL))
 """Families that change with range, and the same without."""
 
@@ -83,6 +84,15 @@ class Rows:
             self._found[family] = Search(family, (one, other), sharp, float((sharp - self.plain).sum()))
         return self._found[family]
 
+    def loss(self, family: PhaseFamily) -> float:
+        """What the contrast of all rows loses to a quadratic error beside what they themselves find, the mean of both
+        signs."""
+        lines = AzimuthSpectrum.joined(self.folds)
+        phase = family.phase(lines, fitted(lines, family, np.concatenate(self._trials)))
+        square = PROBE_RAD * QUADRATIC.basis(lines.place)[:, 0]
+        best, *worse = (float(corrected(lines, phase + sign * square).sum()) for sign in (0.0, 1.0, -1.0))
+        return best - 0.5 * sum(worse)
+
     def sharpened(self, family: PhaseFamily) -> list[AzimuthSpectrum]:
         """Each fold with the phase of the other taken off."""
         pairs = zip(self.folds, reversed(self.search(family).each), strict=True)
@@ -103,15 +113,25 @@ class Speckle:
     """What the search gains on homogeneous speckle with the mean spectra of the rows."""
 
     def __init__(self, rows: Rows, seed: int) -> None:
-        random = np.random.default_rng([seed, 5])
+        self._rows, self._seed = rows, seed
         gains: dict[PhaseFamily, list[float]] = {family: [] for family in rows.families}
-        for _ in range(DRAWS):
-            drawn = Rows([one.speckle(random) for one in rows.folds])
+        for drawn in self._drawn():
             for family, several in gains.items():
                 several.append(drawn.search(family).gain)
         self.gains = {family: np.array(several) for family, several in gains.items()}
         self.folds = drawn.folds
         """Of one draw."""
+
+    def _drawn(self) -> Iterator[Rows]:
+        random = np.random.default_rng([self._seed, 5])
+        for _ in range(DRAWS):
+            yield Rows([one.speckle(random) for one in self._rows.folds])
+
+    def tells(self, family: PhaseFamily) -> bool:
+        """Whether the rows lose more contrast beside their best phase than speckle does beside its own: without points
+        and edges both folds may agree by chance, and one phase is as good as the next."""
+        told = np.array([drawn.loss(family) for drawn in self._drawn()])
+        return self._rows.loss(family) > float(told.mean() + SURE * told.std(ddof=1))
 
     def moments(self, family: PhaseFamily, less: PhaseFamily | None = None) -> tuple[float, float]:
         """Mean and standard deviation of what a family gains, beyond what another does."""
