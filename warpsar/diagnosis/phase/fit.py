@@ -111,8 +111,8 @@ def _starts(trial: F64, aside: F64 | None) -> list[tuple[float, float]]:
         told[:, k] = trial.mean(axis=0) if aside is None else _shifted(trial, aside * q).mean(axis=0)
     peak = told == maximum_filter(told, size=3, mode="nearest")
     order = np.argsort(np.where(peak, told, -np.inf).ravel())[::-1][: min(_STARTS, int(peak.sum()))]
-    i, k = np.unravel_index(order, told.shape)
-    return list(zip(_TRIED[i].tolist(), asides[k].tolist(), strict=True))
+    row, column = np.unravel_index(order, told.shape)
+    return list(zip(_TRIED[row].tolist(), asides[column].tolist(), strict=True))
 
 
 def _shifted(trial: F64, by_rad: F64) -> F64:
