@@ -97,29 +97,36 @@ def test_an_error_in_an_own_cphd_is_named_and_measured(tmp_path: Path) -> None:
 
 
 @pytest.mark.full
-def test_an_error_of_the_track_is_told_from_one_of_the_phase(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("along_rad", "across_rad"), [(0.0, TURN), (3.1, 4.4)], ids=["across", "a mix"])
+def test_an_error_of_the_track_is_told_from_one_of_the_phase(
+    along_rad: float, across_rad: float, tmp_path: Path
+) -> None:
     """A recorded track that leaves the true one across the line of sight: no range in the middle has an error, and
-    those at the ends have 2 pi, in proportion to the sine of the angle between their look directions."""
+    those at the ends have 2 pi, in proportion to the sine of the angle between their look directions. And one that
+    leaves it along the line of sight, too: all ranges have that part, and a search for it alone finds too little."""
     slant, speed = 500.0, 100.0
     angle = np.deg2rad(VIEW.incidence_deg)
     far = slant + 0.5 * PIXELS * FINE_M[0]
     widest = np.sin(np.arccos(slant * np.cos(angle) / (2.0 * slant - far)) - angle)  # the nearer end
-    error_m = TURN * WAVELENGTH / (4.0 * np.pi * abs(widest))
+    error_m = across_rad * WAVELENGTH / (4.0 * np.pi * abs(widest))
+    along_m = along_rad * WAVELENGTH / (4.0 * np.pi)
     aperture_rad = width_in_cells("taylor") * WAVELENGTH / (2.0 * BLUR["azimuth_fwhm_m"])
     half_s = 0.5 * slant * aperture_rad / speed
     toward = np.array(
         [0.0, np.cos(angle), -np.sin(angle)]
     )  # as the look direction turns with range; the radar is north
+    line = np.array([0.0, np.sin(angle), np.cos(angle)])
+    most = error_m * toward + along_m * line
     time = np.linspace(-1.1 * half_s, 1.1 * half_s, 201)
-    rows = [",".join(f"{value:.9f}" for value in (t, *(error_m * (t / half_s) ** 2 * toward))) for t in time]
+    rows = [",".join(f"{value:.9f}" for value in (t, *((t / half_s) ** 2 * most))) for t in time]
     path = tmp_path / "error.csv"
     path.write_text("time_s,x_m,y_m,z_m\n" + "\n".join(rows) + "\n", encoding="utf-8")
     more = {"slant_range_m": slant, "speed_m_s": speed, "errors": CollectionErrors(track=path)}
     _, one = asked_of(tmp_path, lawn_with_plates(), 0.0, "phase-history", **more)
     assert one.motion is not None
     assert one.motion.outcome == "named", one.words
-    assert one.aside_m * one.motion.aside[0] == pytest.approx(error_m, rel=0.1), one.words
-    assert abs(one.motion.same[0]) < 0.1 * TURN
+    assert one.aside_m * one.motion.aside[0] == pytest.approx(error_m, rel=0.05), one.words
+    assert one.motion.same[0] == pytest.approx(along_rad, abs=0.05 * TURN)
     assert named_in([one]) == ["motion_error"]
 
 

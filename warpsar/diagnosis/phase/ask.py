@@ -1,13 +1,16 @@
 """Is there a phase error over slow time in complex images? Decided on rows that had no part in finding it.
 
 The rows lie in blocks of range, and every other block belongs to one fold. The phase that gives one fold the most
-contrast is judged on the other, and the other way round. What is gained there is compared with two things:
+contrast is judged on the other, and the other way round. Four families are searched: a quadratic and a polynomial that
+all ranges share, and the same two beside a part that goes with the look direction, as a track error has it. An error
+that is a mix of both may lie under what the first two can tell, so all four decide whether there is one. What is gained
+is compared with two things:
 
 - the same search on homogeneous speckle with the image's mean spectra, which no phase changes;
 - a rival without physics, real weights on the spectrum, found and judged on the same rows: beside it the phase must
   still gain.
 
-Then a phase of 2 pi at the aperture's ends is put into the sharpest image. If not even that shows, nothing can be told.
+Where nothing is named, `least.py` puts errors into the image as it is, and says from which size on they are found.
 """
 
 from __future__ import annotations
@@ -15,30 +18,26 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
-from warpsar.diagnosis.phase.fit import MOTION, POLYNOMIAL, QUADRATIC, SPLINE, PhaseFamily, fitted, weights_fitted
-from warpsar.diagnosis.phase.spectrum import AzimuthSpectrum, contrast, corrected
+from warpsar.diagnosis.phase.fit import MOTION, POLYNOMIAL, QUADRATIC, QUADRATIC_MOTION, SPLINE, PhaseFamily, fitted
+from warpsar.diagnosis.phase.least import ACROSS, CUBIC, FOUND, SQUARE, least_found
+from warpsar.diagnosis.phase.search import SURE, Present, Rows, Speckle, moved, present
+from warpsar.diagnosis.phase.spectrum import AzimuthSpectrum
 
-F64 = NDArray[np.float64]
 Outcome = Literal["named", "absent", "not testable", "not told", "declared"]
 BLOCKS = 8
 GAP_CELLS = 2.0
 """Between blocks: rows so near share their points."""
-DRAWS, MOTION_DRAWS = 12, 8
-SURE = 4.0
-"""Standard deviations of speckle's own gains that a gain must reach."""
-PROBE_RAD = 2.0 * np.pi
 FEWEST_ROWS = 16
 
 
 @dataclass(frozen=True)
 class PhaseFound:
-    """What complex images of one view say of a phase error."""
+    """What complex images of one view say of a phase error that all ranges share."""
 
     outcome: Outcome
     why: str
@@ -54,94 +53,9 @@ class PhaseFound:
     gain_of_weights: float = 0.0
     """Of the rival."""
     least_rad: float | None = None
-    """The smallest quadratic error that would have shown."""
-
-
-def folds_of(rows: int, spacing_m: float, cell_m: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Two masks of an image's rows, (rows,): every other block of range, without the rows at their borders."""
-    place = np.arange(rows) * BLOCKS / rows
-    block = place.astype(int)
-    edge = np.minimum(place - block, block + 1 - place) * rows / BLOCKS * spacing_m
-    inside = edge >= 0.5 * GAP_CELLS * cell_m
-    return inside & (block % 2 == 0), inside & (block % 2 == 1)
-
-
-def asked(folds: Sequence[AzimuthSpectrum], seed: int = 0) -> PhaseFound:
-    """What two folds of rows say. The seed draws speckle."""
-    if min(map(len, folds)) < FEWEST_ROWS:
-        few = min(map(len, folds))
-        return PhaseFound("not testable", f"{few} rows in one half of the image; at least {FEWEST_ROWS} are needed")
-    found = _searched(folds, POLYNOMIAL)
-    random = np.random.default_rng([seed, 5])
-    draws = []
-    for _ in range(DRAWS):
-        drawn = [one.speckle(random) for one in folds]
-        draws.append(_searched(drawn, POLYNOMIAL))
-    speckle = _moments([one.gain for one in draws])
-    weights = _gain_of_weights(folds, drawn)
-    beside = found.gain + _gain_of_weights(found.sharpened(folds), drawn) - weights
-    least = _least(found, draws, speckle[1])
-    told = partial(PhaseFound, gain=found.gain, gain_of_speckle=speckle, gain_of_weights=weights, least_rad=least)
-    beyond = found.gain - speckle[0] > SURE * speckle[1]
-    if least is None:
-        return told(
-            "not testable",
-            "an error of 2 pi at the ends of the aperture would not change the contrast by more than speckle does: "
-            "there are no points and no edges that tell",
-        )
-    if not beyond:
-        return told("absent", f"rows that decided nothing get no sharper; an error of {least:.2g} rad would have shown")
-    if beside <= SURE * speckle[1]:
-        return told("not told", "beside real weights on the spectrum a phase adds nothing to rows that decided nothing")
-    simple, finer = _searched(folds, QUADRATIC), _searched(folds, SPLINE)
-    best = simple if simple.gain >= found.gain - speckle[1] else found
-    best = finer if finer.gain - best.gain > SURE * speckle[1] else best
-    why = (
-        f"rows that decided nothing get sharper by {best.gain:.3g}, speckle by {speckle[0]:.2g} +- {speckle[1]:.2g}, "
-        f"under real weights by {weights:.3g}, and beside these the phase adds {beside:.3g}"
-    )
-    told = partial(told, family=best.family.name, coefficients=tuple(best.whole.tolist()))
-    return told("named", why, error=tuple((0.5 * np.abs(best.each[0] - best.each[1])).tolist()), gain=best.gain)
-
-
-@dataclass(frozen=True)
-class _Search:
-    """Both folds under one family."""
-
-    family: PhaseFamily
-    each: tuple[F64, F64]
-    """Coefficients of each fold."""
-    whole: F64
-    """Of all rows."""
-    gain: float
-    lines: AzimuthSpectrum
-
-    def sharpened(self, folds: Sequence[AzimuthSpectrum]) -> list[AzimuthSpectrum]:
-        """Each fold with the phase of the other taken off."""
-        pairs = zip(folds, reversed(self.each), strict=True)
-        return [lines.turned(-self.family.phase(lines, found)) for lines, found in pairs]
-
-    def loss(self, probe_rad: float) -> float:
-        """What the contrast of all rows loses to a quadratic error beside what was found, the mean of both signs; with
-        one that changes with range, to an error of that size at the ends of range."""
-        square = QUADRATIC.basis(self.lines.place)[:, 0]
-        if self.family.aside:
-            square = self.lines.aside[:, None] * square
-        phase = self.family.phase(self.lines, self.whole)
-        best = corrected(self.lines, phase).sum()
-        worse = [corrected(self.lines, phase + sign * probe_rad * square).sum() for sign in (-1.0, 1.0)]
-        return float(best - 0.5 * np.sum(worse))
-
-
-def _searched(folds: Sequence[AzimuthSpectrum], family: PhaseFamily) -> _Search:
-    one, other = folds
-    both = AzimuthSpectrum.joined(folds)
-    each = fitted(one, family), fitted(other, family)
-    gain = 0.0
-    for lines, coefficients in ((one, each[1]), (other, each[0])):
-        phase = family.phase(lines, coefficients)
-        gain += float((corrected(lines, phase) - corrected(lines, np.zeros_like(phase))).sum())
-    return _Search(family, each, fitted(both, family), gain, both)
+    """The smallest quadratic error that would have been found in the image as it is; None where one is named."""
+    least_cubic_rad: float | None = None
+    """The smallest cubic one; None where not even a turn would have been."""
 
 
 @dataclass(frozen=True)
@@ -159,71 +73,133 @@ class MotionFound:
     gain: float = 0.0
     """Of rows under what the other fold found, beyond that of a phase that all ranges share."""
     gain_of_speckle: tuple[float, float] = (0.0, 0.0)
-    gain_of_shuffled: float = 0.0
-    """Of the rival: the same numbers, and ranges in another order."""
+    gain_of_bent: float = 0.0
+    """Of the rival: a part that goes with the square of the look direction."""
     least_rad: float | None = None
-    """The smallest quadratic error at the ends of range, none in their middle, that would have shown."""
+    """The smallest quadratic error at the ends of range, none in their middle, that would have been found in the image
+    as it is; None where one is named, or not even a turn would have been found."""
 
 
-def asked_of_motion(folds: Sequence[AzimuthSpectrum], seed: int = 0) -> MotionFound:
-    """Whether the phase changes with range, as that of a track error does and that of `phase_error` does not.
+class Asked(NamedTuple):
+    """Both together, as one search decides them."""
 
-    Judged as in `asked`. The rival has as many numbers, and the ranges of its rows in the order of another block.
-    """
-    if min(map(len, folds)) < FEWEST_ROWS or not any(one.aside.any() for one in folds):
+    phase: PhaseFound
+    motion: MotionFound
+
+
+def folds_of(rows: int, spacing_m: float, cell_m: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Two masks of an image's rows, (rows,): every other block of range, without the rows at their borders."""
+    place = np.arange(rows) * BLOCKS / rows
+    block = place.astype(int)
+    edge = np.minimum(place - block, block + 1 - place) * rows / BLOCKS * spacing_m
+    inside = edge >= 0.5 * GAP_CELLS * cell_m
+    return inside & (block % 2 == 0), inside & (block % 2 == 1)
+
+
+def asked(folds: Sequence[AzimuthSpectrum], seed: int = 0) -> Asked:
+    """What two folds of rows say. The seed draws speckle."""
+    if min(map(len, folds)) < FEWEST_ROWS:
+        few = min(map(len, folds))
+        return _both("not testable", f"{few} rows in one half of the image; at least {FEWEST_ROWS} are needed")
+    rows = Rows(folds)
+    speckle = Speckle(rows, seed)
+    found = present(rows, speckle)
+    if found.named and not speckle.tells(found.family):
+        return _both("not testable", "beside the best phase contrast falls no more than that of speckle does")
+    if found.named:
+        return _named(rows, speckle, found)
+    least = least_found(rows, speckle, SQUARE)
+    if least is None:
+        return _both(
+            "not testable",
+            "an error of 2 pi at the ends of the aperture, put into the image as it is, would not be found: there are "
+            "no points and no edges that tell",
+        )
+    told = partial(
+        PhaseFound,
+        gain=rows.search(found.family).gain,
+        gain_of_speckle=speckle.moments(found.family),
+        gain_of_weights=found.weights,
+        least_rad=least,
+    )
+    if found.sure:
+        why = "beside real weights on the spectrum a phase adds nothing to rows that decided nothing"
+        return Asked(told("not told", why), MotionFound("not told", why))
+    cubic = least_found(rows, speckle, CUBIC)
+    more = "" if cubic is None else f", a cubic one from {cubic:.2g} rad on"
+    why = (
+        f"rows that decided nothing get no sharper; in this image a quadratic error would be found from {least:.2g} "
+        f"rad on{more} ({FOUND:.0%} of draws)"
+    )
+    return Asked(told("absent", why, least_cubic_rad=cubic), _not_moved(rows, speckle))
+
+
+def _both(outcome: Outcome, why: str) -> Asked:
+    return Asked(PhaseFound(outcome, why), MotionFound(outcome, why))
+
+
+def _named(rows: Rows, speckle: Speckle, found: Present) -> Asked:
+    """There is a phase error: does it change with range?"""
+    motion = _motion(rows, speckle)
+    told = partial(PhaseFound, gain_of_weights=found.weights)
+    if motion.outcome == "named":
+        why = "what all ranges share is stated with the error of the track, which gives it, too"
+        return Asked(told("not told", why), motion)
+    simple, more, finer = (rows.search(one) for one in (QUADRATIC, POLYNOMIAL, SPLINE))
+    mean, sd = speckle.moments(POLYNOMIAL)
+    best = simple if simple.gain >= more.gain - sd else more
+    best = finer if finer.gain - best.gain > SURE * sd else best
+    why = (
+        f"rows that decided nothing get sharper by {best.gain:.3g}, speckle by {mean:.2g} +- {sd:.2g}, "
+        f"under real weights by {found.weights:.3g}, and beside these the phase adds {found.beside:.3g}"
+    )
+    whole = _of_all_rows(rows, best.family)
+    told = partial(told, family=best.family.name, coefficients=whole, error=tuple(best.error.tolist()))
+    return Asked(told("named", why, gain=best.gain, gain_of_speckle=(mean, sd)), motion)
+
+
+def _motion(rows: Rows, speckle: Speckle) -> MotionFound:
+    """Of an image that has a phase error."""
+    if not rows.families[1].aside:
+        return _not_moved(rows, speckle)
+    found = moved(rows, speckle)
+    mean, sd = speckle.moments(found.family, found.less)
+    told = partial(MotionFound, gain=found.gain, gain_of_speckle=(mean, sd), gain_of_bent=found.rival)
+    if not found.named:
+        if found.rival:
+            return told("not told", "a part that goes with the square of the look direction does as well")
+        return replace(_not_moved(rows, speckle), gain=found.gain, gain_of_speckle=(mean, sd))
+    simple, more = rows.search(QUADRATIC_MOTION), rows.search(MOTION)
+    best = simple if simple.gain >= more.gain - speckle.moments(MOTION)[1] else more
+    why = (
+        f"with a part that goes with the look direction rows that decided nothing gain {found.gain:.3g} more, speckle "
+        f"{mean:.2g} +- {sd:.2g}, and with one that goes with its square {found.rival:.3g}"
+    )
+    same, aside = (_filled(part) for part in np.split(np.array(_of_all_rows(rows, best.family)), 2))
+    error = sum((_filled(part) for part in np.split(best.error, 2)), ())
+    return told("named", why, same, aside, error)
+
+
+def _not_moved(rows: Rows, speckle: Speckle) -> MotionFound:
+    """With the size from which on an error of the track would be found."""
+    if not rows.families[1].aside:
         return MotionFound(
             "not testable",
             "look directions of the rows are not known, or the same; slant_range_m of the view says them",
         )
-    flat, moved = _searched(folds, POLYNOMIAL), _searched(folds, MOTION)
-    random = np.random.default_rng([seed, 6])
-    draws, gains = [], []
-    for _ in range(MOTION_DRAWS):
-        drawn = [one.speckle(random) for one in folds]
-        draws.append(_searched(drawn, MOTION))
-        gains.append(draws[-1].gain - _searched(drawn, POLYNOMIAL).gain)
-    speckle, gain = _moments(gains), moved.gain - flat.gain
-    least = _least(moved, draws, speckle[1])
-    told = partial(MotionFound, gain=gain, gain_of_speckle=speckle, least_rad=least)
+    least = least_found(rows, speckle, ACROSS)
     if least is None:
-        return told("not testable", "an error of 2 pi at the ends of range would not show: no points and no edges tell")
-    if gain - speckle[0] <= SURE * speckle[1]:
-        return told("absent", f"no phase that changes with range; {least:.2g} rad at its ends would have shown")
-    shuffled = [replace(one, aside=np.roll(one.aside, len(one) // 2)) for one in folds]
-    rival = _searched(shuffled, MOTION).gain - flat.gain
-    if gain - rival <= SURE * speckle[1]:
-        return told("not told", "ranges in another order do as well as their own", gain_of_shuffled=rival)
-    error = tuple((0.5 * np.abs(moved.each[0] - moved.each[1])).tolist())
-    same, aside = np.split(moved.whole, 2)
-    why = (
-        f"with a part that goes with the look direction rows that decided nothing gain {gain:.3g} more, speckle "
-        f"{speckle[0]:.2g} +- {speckle[1]:.2g}, and with ranges in another order {rival:.3g}"
-    )
-    return told("named", why, tuple(same.tolist()), tuple(aside.tolist()), error, gain_of_shuffled=rival)
+        return MotionFound(
+            "not testable", "an error of 2 pi at the ends of range, put into the image as it is, would not be found"
+        )
+    why = f"no phase that changes with range; in this image one would be found from {least:.2g} rad at its ends on"
+    return MotionFound("absent", why, least_rad=least)
 
 
-def _gain_of_weights(folds: Sequence[AzimuthSpectrum], speckle: Sequence[AzimuthSpectrum]) -> float:
-    """Of real weights that the other fold has found, less what they do to speckle."""
-    weights = [weights_fitted(*pair) for pair in zip(folds, speckle, strict=True)]
-    total = 0.0
-    for lines, drawn, factor in zip(folds, speckle, reversed(weights), strict=True):
-        for sign, one in ((1.0, lines), (-1.0, drawn)):
-            total += sign * float((contrast(one, factor) - contrast(one, np.ones_like(factor))).sum())
-    return total
+def _of_all_rows(rows: Rows, family: PhaseFamily) -> tuple[float, ...]:
+    return tuple(fitted(AzimuthSpectrum.joined(rows.folds), family).tolist())
 
 
-def _moments(values: Sequence[float]) -> tuple[float, float]:
-    return float(np.mean(values)), float(np.std(values, ddof=1))
-
-
-def _least(found: _Search, draws: Sequence[_Search], gain_sd: float) -> float | None:
-    """The smallest probe whose loss is beyond that of speckle; None where `PROBE_RAD` is not."""
-
-    def beyond(probe_rad: float) -> float:
-        mean, sd = _moments([one.loss(probe_rad) for one in draws])
-        return found.loss(probe_rad) - mean - SURE * max(sd, gain_sd)
-
-    if beyond(PROBE_RAD) <= 0.0:
-        return None
-    low = 0.05
-    return low if beyond(low) > 0.0 else float(brentq(beyond, low, PROBE_RAD, xtol=0.02))
+def _filled(part: NDArray[np.float64]) -> tuple[float, ...]:
+    """Coefficients of a polynomial, 0 for those that its family has not."""
+    return (*part.tolist(), *[0.0] * (POLYNOMIAL.columns - len(part)))

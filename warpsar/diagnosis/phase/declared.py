@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from warpsar.diagnosis.phase.ask import MotionFound, Outcome, PhaseFound, asked, asked_of_motion, folds_of
+from warpsar.diagnosis.phase.ask import MotionFound, Outcome, PhaseFound, asked, folds_of
 from warpsar.diagnosis.phase.fit import KNOTS
 from warpsar.diagnosis.phase.spectrum import BORDER_CELLS, AzimuthSpectrum
 from warpsar.effects.base.slow_time import phase_at
@@ -76,7 +76,7 @@ class PhaseAsked:
         tied = f"{MOTION_ERROR}: tied: an error of the track along the line of sight gives all ranges this phase, too"
         if one.least_rad is None or self.aside_m is None:
             return f"{tied}; whether the phase changes with range cannot be told here"
-        return f"{tied}; one across it would have shown from {one.least_rad * self.aside_m:.3g} m on"
+        return f"{tied}; one across it would be found from {one.least_rad * self.aside_m:.3g} m on"
 
     def _of_phase(self) -> str:
         one = self.found
@@ -154,11 +154,10 @@ def _asked(scene: Scene, view: View) -> PhaseAsked:
         for fold, mask in zip(folds, folds_of(len(known), spacing[0], cells[0]), strict=True):
             fold.append(AzimuthSpectrum.of(known[mask], spacing, cells, told[mask]))
     joined, seed = [AzimuthSpectrum.joined(one) for one in folds], scene.sampling.seed
-    found = asked(joined, seed=seed)
+    found, motion = asked(joined, seed=seed)
     if found.outcome == "not testable":
         return PhaseAsked(view.name, found)
     metre = SPEED_OF_LIGHT / (4.0 * np.pi * (view.frequency_hz or scene.radar.frequency_hz))
-    motion = asked_of_motion(joined, seed=seed)
     return PhaseAsked(view.name, found, motion, metre / widest if widest else None, metre)
 
 

@@ -6,16 +6,17 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
 from scipy.optimize import minimize
 
-from warpsar.diagnosis.phase.spectrum import AzimuthSpectrum, contrast, mean_contrast_and_slope
+from warpsar.diagnosis.phase.spectrum import AzimuthSpectrum, contrast, corrected, mean_contrast_and_slope
 from warpsar.effects.base.slow_time import POWERS, spline
 
 F64 = NDArray[np.float64]
 KNOTS = 9
-MOST_RAD, STEP_RAD = 30.0, 2.0
-"""Quadratic phases at the aperture's ends at which fits may begin, and how far they lie apart: contrast has its peak
-within about a radian."""
+MOST_RAD, MOST_ASIDE_RAD, STEP_RAD = 30.0, 20.0, 1.0
+"""Quadratic phases at the aperture's ends at which fits may begin: those that all ranges share, those that go with
+`AzimuthSpectrum.aside`, and how far they lie apart. Contrast has its peak within about a radian."""
 _STARTS = 2
 
 
@@ -63,29 +64,63 @@ class PhaseFamily:
 QUADRATIC = PhaseFamily("quadratic", 1)
 POLYNOMIAL = PhaseFamily("polynomial", len(POWERS))
 SPLINE = PhaseFamily("spline", KNOTS - 2)
+QUADRATIC_MOTION = PhaseFamily("quadratic motion", 1, aside=True)
 MOTION = PhaseFamily("motion", len(POWERS), aside=True)
+_TRIED = np.arange(-MOST_RAD, MOST_RAD + 0.5 * STEP_RAD, STEP_RAD)
+_TRIED_ASIDE = np.arange(-MOST_ASIDE_RAD, MOST_ASIDE_RAD + STEP_RAD, 2.0 * STEP_RAD)
 
 
-def fitted(lines: AzimuthSpectrum, family: PhaseFamily) -> F64:
+def trials(lines: AzimuthSpectrum) -> F64:
+    """The contrast of each row under the quadratic phases at which fits may begin, (rows, tried)."""
+    square = QUADRATIC.basis(lines.place)[:, 0]
+    return np.stack([corrected(lines, q * square) for q in _TRIED], axis=1)
+
+
+def fitted(lines: AzimuthSpectrum, family: PhaseFamily, trial: F64 | None = None) -> F64:
     """The coefficients of the columns, (columns,), that give the rows the most contrast.
 
-    Quadratic phases are tried first, as contrast has many maxima. L-BFGS goes on from the best ones, by the adjoint.
+    Contrast has many maxima, so L-BFGS goes on from the best quadratic phases, by the adjoint. `trial`: what `trials`
+    says of the same rows, which families can share.
     """
     basis = family.basis(lines.place)
     square = QUADRATIC.basis(lines.place)[:, 0]
-    tried = np.arange(-MOST_RAD, MOST_RAD + 0.5 * STEP_RAD, STEP_RAD)
-    told = [float(contrast(lines, np.exp(-1j * q * square)).mean()) for q in tried]
     to_basis = np.linalg.lstsq(basis, square, rcond=None)[0]
     scale = family.scale(lines)
-    to_basis = np.concatenate([to_basis, np.zeros(len(scale) - len(to_basis))])
 
     def cost(x: F64) -> tuple[float, F64]:
         value, slope = mean_contrast_and_slope(lines, family.phase(lines, x / scale))
         return -value, -family.back(lines, slope) / scale
 
-    best = [tried[i] * to_basis * scale for i in np.argsort(told)[-_STARTS:]]
+    best = []
+    for same, aside in _starts(trials(lines) if trial is None else trial, lines.aside if family.aside else None):
+        parts = (same, aside) if family.aside else (same,)
+        best.append(np.concatenate([q * to_basis for q in parts]) * scale)
     found = [minimize(cost, x, jac=True, method="L-BFGS-B", options={"maxiter": 30}) for x in best]
     return np.asarray(min(found, key=lambda one: float(one.fun)).x / scale)
+
+
+def _starts(trial: F64, aside: F64 | None) -> list[tuple[float, float]]:
+    """The highest maxima among quadratic phases, of the part that all ranges share and of the part that goes with
+    `aside` (rows,), 0 without it.
+
+    A row sees the sum of both parts, so what each row says of one phase tells the mean of all under any two.
+    """
+    asides = np.zeros(1) if aside is None else _TRIED_ASIDE
+    told = np.empty((len(_TRIED), len(asides)))
+    for k, q in enumerate(asides):
+        told[:, k] = trial.mean(axis=0) if aside is None else _shifted(trial, aside * q).mean(axis=0)
+    peak = told == maximum_filter(told, size=3, mode="nearest")
+    order = np.argsort(np.where(peak, told, -np.inf).ravel())[::-1][: min(_STARTS, int(peak.sum()))]
+    row, column = np.unravel_index(order, told.shape)
+    return list(zip(_TRIED[row].tolist(), asides[column].tolist(), strict=True))
+
+
+def _shifted(trial: F64, by_rad: F64) -> F64:
+    """Each row at the phases that are tried, and so much more (rows,) [rad]; linear, the ends beyond the ends."""
+    at = np.clip(np.arange(trial.shape[1]) + by_rad[:, None] / STEP_RAD, 0.0, trial.shape[1] - 1.0)
+    low = np.minimum(at.astype(int), trial.shape[1] - 2)
+    share, rows = at - low, np.arange(len(trial))[:, None]
+    return np.asarray((1.0 - share) * trial[rows, low] + share * trial[rows, low + 1])
 
 
 def weights_fitted(lines: AzimuthSpectrum, speckle: AzimuthSpectrum) -> F64:
