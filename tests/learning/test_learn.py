@@ -546,6 +546,7 @@ def test_what_lies_in_the_folder(cube: Scene, tmp_path: Path) -> None:
     result = CliRunner().invoke(main, ["learn", str(scene), "-o", str(out), "--device", "cpu", "--starts", "2"])
     assert result.exit_code == 0, result.output
     assert result.stdout.startswith("train deviance ")
+    assert result.output.endswith(result.stdout)  # below all messages: the last line of the console
     assert "gradient check" in result.stderr
     assert {p.name for p in out.iterdir()} == {
         *("scene.toml", "history.csv", "learn.json", "convergence.png", "report.html")
