@@ -33,9 +33,9 @@ from warpsar.world.library.fill import held
 from warpsar.world.library.fill import material as surface
 from warpsar.world.library.surfaces import SURFACES
 from warpsar.world.mesh import read_mesh
-from warpsar.world.meshes.units import guessed_unit
 from warpsar.world.objects.table import UNITS
 from warpsar.world.tables import Material, Radar
+from warpsar.world.units import guessed_unit
 from warpsar.world.world import NO_IMAGE
 
 COLUMNS = (

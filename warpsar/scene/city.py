@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpsar.errors import InputError
-from warpsar.formats.base.extra import Extra
 from warpsar.io import geotiff
 from warpsar.runtime import console
+from warpsar.runtime.extra import Extra
 from warpsar.scene import footprints
 from warpsar.scene.footprints import Buildings, Outline, Ring, Surfaces
 from warpsar.world.mesh import Mesh

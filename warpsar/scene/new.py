@@ -23,10 +23,10 @@ from warpsar.world.frame import SPEED_OF_LIGHT, ViewGeometry, view_geometry
 from warpsar.world.library.names import surface_named
 from warpsar.world.mesh import GLTF, SUFFIXES, Mesh, read_mesh, unlikely_size
 from warpsar.world.meshes.dem import SUFFIXES as DEM_SUFFIXES
-from warpsar.world.meshes.units import guessed_unit
 from warpsar.world.objects.table import UNITS
 from warpsar.world.sensors import SENSORS, Sensor, noise_beta0
 from warpsar.world.tables import Grid
+from warpsar.world.units import guessed_unit
 
 FREQUENCY_HZ = 9.6e9
 INCIDENCE_DEG = 40.0
