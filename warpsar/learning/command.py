@@ -53,7 +53,7 @@ def print_in_short(found: Learned | LearnedCurves) -> None:
     else:
         words = f"train deviance {found.train['deviance']:.4f}"
         words += "" if found.test is None else f", test deviance {found.test['deviance']:.4f}"
-    print(words, file=sys.stdout)
+    print(words, file=sys.stdout, flush=True)
 
 
 def fitted(
