@@ -116,3 +116,4 @@ def command(
     with options.resumable(out):
         found, content = learning.fitted(scene, out, device=device, options=chosen, resume=resume)
     once.write(partial(write_learn_report, scene, out, found, content))
+    once.write(partial(learning.print_in_short, found))

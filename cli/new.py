@@ -9,11 +9,9 @@ import click
 
 from warpsar.cli import options
 
-UNITS = ("m", "cm", "mm", "in", "ft")  # a copy from warpsar.scene.new, which imports NumPy; a test compares them
-UP = ("y", "z")
 SENSORS = (
     *("sentinel-1", "palsar", "iceye", "capella", "rcm", "radarsat-2", "terrasar-x", "cosmo-skymed", "umbra", "nisar"),
-)  # a copy from warpsar.world.sensors, likewise
+)  # a copy from warpsar.world.sensors, which imports NumPy; a test compares them
 
 
 @click.command(name="new", short_help="Write a first scene file for a mesh or for buildings.")
@@ -21,11 +19,11 @@ SENSORS = (
 @click.argument("mesh", required=False, type=options.FILE)
 @click.option("--example", is_flag=True, help="Copy the example scene, a street corner with its mesh. Takes no MESH.")
 @click.option(
-    "--units", type=click.Choice(UNITS), help="Unit of the mesh's coordinates. Default: guessed, and printed."
+    "--units", type=click.Choice(options.UNITS), help="Unit of the mesh's coordinates. Default: guessed, and printed."
 )
 @click.option(
     "--up",
-    type=click.Choice(UP),
+    type=click.Choice(options.UP),
     help="Axis of the mesh's file that points up. Default: Y for glTF, else Z.",
 )
 @options.yes
@@ -53,10 +51,9 @@ def command(
 ) -> None:
     """Write a commented scene.toml for MESH into FOLDER.
 
-    It has a grid that holds the whole mesh, three X-band views, a table with starting values for each material, bounces
-    between surfaces, and the noise of a receiver.
-    It refers to MESH where it lies. If the unit of MESH is not the metre, or Z is not up, FOLDER gets
-    a copy in metres with Z up.
+    It has a grid that holds the whole mesh, three X-band views to learn from and a fourth to check by, a table with
+    starting values for each material, bounces between surfaces, and the noise of a receiver. It refers to MESH where it
+    lies. If the unit of MESH is not the metre, or Z is not up, FOLDER gets a copy in metres with Z up.
 
     MESH may also be a file of buildings: GeoJSON outlines with heights, or CityGML (LoD1, LoD2). They become a mesh
     with walls, roofs and ground, on the elevation model --dem or on level ground (needs warpsar[geo]).

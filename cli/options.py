@@ -15,6 +15,9 @@ from warpsar.formats import registry
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
+UNITS = ("m", "cm", "mm", "in", "ft")  # a copy from warpsar.world.objects.table, which imports NumPy; a test compares
+UP = ("y", "z")
+
 FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 
 

@@ -26,6 +26,16 @@ from warpsar.cli import options
     help="Of a mesh file: metal (a smooth perfect conductor), or a surface of the library (warpsar materials).",
 )
 @click.option(
+    "--units",
+    type=click.Choice(options.UNITS),
+    help="Of a mesh file: the unit of its coordinates. Default: guessed, and printed.",
+)
+@click.option(
+    "--up",
+    type=click.Choice(options.UP),
+    help="Of a mesh file: its axis that points up. Default: Y for glTF, else Z.",
+)
+@click.option(
     "--azimuths",
     required=True,
     metavar="START:STOP:STEP",
@@ -73,6 +83,8 @@ def command(
     body: Path,
     out: Path,
     material: str | None,
+    units: str | None,
+    up: str | None,
     azimuths: str,
     incidences: str,
     frequencies: str | None,
@@ -91,6 +103,7 @@ def command(
     \b
     Examples:
       warpsar rcs body.stl --material metal --frequencies 10e9 --azimuths 0:360:0.5
+      warpsar rcs part.stl --units mm --material metal --frequencies 10e9 --azimuths 0:360:0.5
       warpsar rcs scene.toml -o out/ --azimuths 0:180.5:0.5
       warpsar rcs scene.toml -o out/ --azimuths 0,45,90 --incidences 60 --frequencies 5e9,10e9
       warpsar rcs scene.toml -o out/ --azimuths 0:90:1 --contributors 45
@@ -104,6 +117,8 @@ def command(
         body,
         out,
         material=material,
+        units=units,
+        up=up,
         azimuths=azimuths,
         incidences=incidences,
         frequencies=frequencies,
@@ -124,6 +139,8 @@ def command(
             first,
             float(found["frequencies_hz"][-1]),
             material=material,
+            units=units,
+            up=up,
             device=device,
             rays_per_wavelength=rays_per_wavelength,
         )

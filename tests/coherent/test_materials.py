@@ -308,6 +308,53 @@ def test_bad_sweeps_are_refused_in_one_message(files: Path, options: list[str], 
     assert not (files / "out").exists()
 
 
+MESH = ("--material", "metal", "--frequencies", repr(FREQUENCY), "--azimuths", "90", "--device", "cpu")
+
+
+@pytest.mark.parametrize(
+    ("side_m", "unit", "options", "guess"),
+    [
+        (0.2, "m", (), "taken as m, a guess. If it is wrong: --units with cm, mm, in, ft"),
+        (2.0, "mm", (), "taken as mm, a guess"),  # 2000 units across
+        (0.2, "mm", ("--units", "mm"), ""),
+        (0.2, "m", ("--up", "y"), "taken as m, a guess"),
+    ],
+)
+def test_rcs_of_a_mesh_file_knows_its_unit(
+    tmp_path: Path, side_m: float, unit: str, options: tuple[str, ...], guess: str
+) -> None:
+    """The plate's 4 pi A^2 / lambda^2, whatever unit its file has. The report's command gives the same again, so it
+    states the unit."""
+    corners = np.array([(0, -1, -1), (0, 1, -1), (0, 1, 1), (0, -1, 1)]) * side_m / 2.0
+    flat = trimesh.Trimesh(corners, [(0, 1, 2), (0, 2, 3)])
+    flat.apply_scale({"m": 1.0, "mm": 1000.0}[unit])
+    flat.export(tmp_path / "plate.stl")
+    done = CliRunner().invoke(main, ["rcs", str(tmp_path / "plate.stl"), "-o", str(tmp_path / "out"), *MESH, *options])
+    assert done.exit_code == 0, done.output
+    assert guess in done.output
+    assert ("a guess" in done.output) == bool(guess)
+    row = (tmp_path / "out" / "rcs.csv").read_text().splitlines()[1].split(",")
+    assert float(row[4]) == pytest.approx(10 * np.log10(4 * np.pi * side_m**4 / 0.03**2), abs=0.05)
+    assert f"--units {unit}" in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_rcs_of_a_mesh_file_says_all_that_is_missing_and_names_the_file(tmp_path: Path) -> None:
+    trimesh.creation.box((900.0, 300.0, 250.0)).export(tmp_path / "part.stl")
+    path = str(tmp_path / "part.stl")
+    done = CliRunner().invoke(main, ["rcs", path, "--azimuths", "0"])
+    assert done.exit_code == 2
+    assert "--material: missing" in done.output
+    assert "--frequencies: missing" in done.output
+    done = CliRunner().invoke(main, ["rcs", path, "-o", str(tmp_path / "out"), *MESH])
+    assert done.exit_code == 2
+    assert f"Error: {path}: found a body of " in done.output
+    assert "taken as m, a guess" in done.output  # so that a wrong unit is seen
+    (tmp_path / "scene.toml").write_text(SCENE)
+    done = CliRunner().invoke(main, ["rcs", str(tmp_path / "scene.toml"), "--azimuths", "0", "--units", "mm"])
+    assert done.exit_code == 2
+    assert "--units: found 'mm'; must be left out" in done.output
+
+
 @pytest.mark.parametrize(
     ("azimuths", "more", "message"),
     [

@@ -347,7 +347,9 @@ def test_a_blur_is_edges_that_do_not_agree() -> None:
 def test_images_without_edges_say_that_edges_were_not_judged() -> None:
     found = judge([replace(image, slopes=np.zeros((2, SIDE, SIDE))) for image in several(0)])
     assert not found.edges.judged
-    assert "edges were not judged" in found.words
+    assert "edges were not judged: no edge shows beside speckle" in found.words
+    (one, *_) = found.edges.content()["images"]  # nothing was measured, so no number stands for it
+    assert (one["judged"], one["displacement_m"], one["most_m"], one["p"]) == (False, None, None, None)
     flat = [comparison(speckle(np.random.default_rng(0), 16.0, 0.0), 1.0, 16.0)]
     assert not edges_of(flat).judged
 

@@ -18,7 +18,7 @@ import warpsar.simulation.formats
 from warpsar.cli.main import main
 from warpsar.errors import InputError
 from warpsar.formats import registry
-from warpsar.formats.base.extra import Extra
+from warpsar.runtime.extra import Extra
 from warpsar.simulation.formats import registry as images
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -86,7 +86,7 @@ def test_the_page_of_simulate_has_a_row_for_each_format() -> None:
 RAW = """
 import numpy as np
 
-from warpsar.formats.base.extra import Extra
+from warpsar.runtime.extra import Extra
 from warpsar.formats.base.format import Format
 from warpsar.formats.base.pictures import ASKS, in_slant_plane
 
@@ -102,7 +102,7 @@ FORMAT = Format(
 )  # fmt: skip
 """
 CARDS = """
-from warpsar.formats.base.extra import Extra
+from warpsar.runtime.extra import Extra
 from warpsar.simulation.image_format import ImageFormat
 
 
@@ -132,7 +132,7 @@ def test_a_new_format_is_a_file_in_the_folder(monkeypatch: pytest.MonkeyPatch, t
     with pytest.raises(InputError, match="use --quantity"):
         registry.read([path])
     assert registry.read([path], quantity="power", spacing_m=(1.0, 2.0)).spacing_m == (1.0, 2.0)
-    monkeypatch.setattr("warpsar.formats.base.extra.find_spec", lambda library: None)
+    monkeypatch.setattr("warpsar.runtime.extra.find_spec", lambda library: None)
     with pytest.raises(InputError, match=r'a\.xyz: RAW needs numpy: pip install "warpsar\[raw\]"'):
         registry.read([path], quantity="power")
     monkeypatch.delitem(sys.modules, "warpsar.formats.raw")

@@ -12,7 +12,7 @@ from learning_scenes import cube_scene, measured, noise_free, speckle, views_at
 from worlds import ground, mesh_of, plate, scene_of
 
 from warpsar.learning.command import LearnOptions, learn
-from warpsar.learning.identify import identify, of_information, score_products
+from warpsar.learning.identify import describe, identify, of_information, score_products
 from warpsar.learning.problem import FitProblem
 from warpsar.runtime import devices
 from warpsar.scene.scene import Scene
@@ -138,6 +138,12 @@ def test_what_no_view_sees_is_not_identifiable(tmp_path: Path) -> None:
     assert np.isinf(found.sd[3:]).all()
     assert np.isfinite(found.sd[:3]).all()
     assert found.words[1] == "cellar: not identifiable ((eps_r-1), h, l)"
+
+
+def test_a_key_of_an_effect_has_its_own_name() -> None:
+    """`level` of a noise floor is not the `level` of a material, whose letter is g."""
+    words = describe(["soil.level", "noise_floor.level"], np.diag([1e-4, 1e-4]), np.zeros((0, 2)))
+    assert words == ["soil: g to 1 %", "noise_floor: level to 1 %"]
 
 
 def test_unknown_gains_take_away_the_size(tmp_path: Path) -> None:

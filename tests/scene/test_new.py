@@ -11,15 +11,16 @@ import trimesh
 from click.testing import CliRunner, Result
 
 from warpsar.cli import new as command
+from warpsar.cli import options
 from warpsar.cli.main import main
 from warpsar.io.images import read_channel
 from warpsar.io.ply import write_ply
-from warpsar.scene.new import UNITS
 from warpsar.scene.scene import Scene
 from warpsar.simulation.command import simulate
 from warpsar.world.library.names import MEANT, surface_named
 from warpsar.world.library.surfaces import SURFACES
 from warpsar.world.mesh import read_mesh
+from warpsar.world.objects.table import UNITS
 from warpsar.world.sensors import SENSORS
 from warpsar.world.world import geometry_of
 
@@ -62,7 +63,7 @@ def test_new_scene_simulates_as_it_is(name: str, tmp_path: Path) -> None:
     warpsar("new", out, mesh)
     warpsar("simulate", out / "scene.toml", "-o", out / "images", "--device", "cpu")
     scene = Scene.load(out / "scene.toml")
-    assert len(scene.views) == 3
+    assert [view.role for view in scene.views] == ["train", "train", "train", "test"]
     assert max(scene.grid.shape) <= 512
     if name != "dem.tif":
         assert sizes_m(out / "scene.toml") == pytest.approx([40, 30, 7.1])
@@ -91,6 +92,32 @@ def test_grid_holds_layover_and_shadow(tmp_path: Path) -> None:
         assert -rows < top @ look.d
         assert top @ look.d + 100 / np.cos(np.deg2rad(40)) < rows  # where its ray meets the ground
         assert np.abs((scene.mesh.vertices - scene.reference_point_m) @ look.u).max() < columns
+
+
+def test_the_ground_in_comments_takes_the_shadow(tmp_path: Path) -> None:
+    """A box alone lights what the radar sees of it. With the ground there is more light, and the box's shadow in it."""
+    box = trimesh.creation.box((8, 6, 7))
+    box.apply_translation((100, 50, 23.5))
+    box.export(tmp_path / "box.stl")
+    warpsar("new", tmp_path, tmp_path / "box.stl")
+    path = tmp_path / "scene.toml"
+    alone, text = Scene.load(path), path.read_text()
+    head, ground = text.split("# If the mesh has no ground")
+    ground, views = ground.split("\n\n", 1)
+    path.write_text(head + ground.replace("# ", "").split("\n", 1)[1] + "\n\n" + views)
+    with_ground = Scene.load(path)
+    assert list(with_ground.materials) == ["default", "ground"]
+    view = with_ground.views[0]
+    images = [
+        simulate(replace(scene, effects={}, views=[view]), device="cpu", layers=True)[0]
+        for scene in (alone, with_ground)
+    ]
+    lit = [(image.beta0["HH"] > 0).mean() for image in images]
+    assert lit[1] > 2 * lit[0]
+    # in the middle column, behind the box: 7 m / cos(40 degrees) of shadow in slant range, less the box's own depth
+    lit_rows = np.flatnonzero(images[1].beta0["HH"][:, with_ground.grid.shape[1] // 2])
+    dark = (np.diff(lit_rows).max() - 1) * with_ground.grid.spacing_m[0]
+    assert 2.0 < dark < 7 / np.cos(np.deg2rad(40))
 
 
 def test_materials_are_those_of_the_mesh(tmp_path: Path) -> None:
@@ -223,8 +250,22 @@ def test_an_elevation_model_has_heights(tmp_path: Path) -> None:
     assert not (tmp_path / "a").exists()
 
 
+def test_a_file_of_another_type_hears_of_meshes_and_buildings(tmp_path: Path) -> None:
+    (tmp_path / "town.kml").write_text("<kml/>")
+    said = warpsar("new", tmp_path / "a", tmp_path / "town.kml", status=2).output
+    assert "found a file of type '.kml'; must be a mesh or buildings: .obj," in said
+    assert ".geojson" in said
+
+
+def test_buildings_without_their_extra_name_it(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "town.geojson").write_text("{}")
+    monkeypatch.setattr("warpsar.runtime.extra.find_spec", lambda library: None)
+    said = warpsar("new", tmp_path / "a", tmp_path / "town.geojson", status=2).output
+    assert said.endswith('town.geojson: a file of buildings needs shapely: pip install "warpsar[geo]"\n')
+
+
 def test_options_name_every_unit() -> None:
-    assert tuple(UNITS) == command.UNITS
+    assert tuple(UNITS) == options.UNITS
     assert tuple(SENSORS) == command.SENSORS
 
 

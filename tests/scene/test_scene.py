@@ -358,6 +358,21 @@ def test_save_adds_and_drops_views_and_images(folder: Path) -> None:
     assert again.views == [second, third]
 
 
+def test_a_saved_file_has_an_empty_line_above_each_view(folder: Path) -> None:
+    """Images that a view gains are a table of their own, and the next view's head stands apart from it."""
+    path = folder / "scene.toml"
+    scene = Scene.load(path)
+    first = scene.views[1].model_copy(update={"images": {"HH": folder.resolve() / "hh.tif"}, "looks": 4.0})
+    path.write_text(TOML + '\n[[views]]\nname = "west"\nazimuth_deg = 270\nincidence_deg = 45\n')
+    dataclasses.replace(Scene.load(path), views=[scene.views[0], first, Scene.load(path).views[2]]).save(path)
+    lines = path.read_text().splitlines()
+    heads = [at for at, line in enumerate(lines) if line == "[[views]]"]
+    assert len(heads) == 3
+    assert "[views.images]" in lines[heads[1] : heads[2]]
+    assert all(lines[at - 1] == "" for at in heads)
+    assert Scene.load(path).views[1] == first
+
+
 def test_a_scene_made_in_memory_is_written_whole(folder: Path) -> None:
     scene = dataclasses.replace(Scene.load(folder / "scene.toml"), source="")
     scene.save(folder / "new.toml")

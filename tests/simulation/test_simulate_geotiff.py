@@ -16,9 +16,9 @@ from warpsar import __version__
 from warpsar.cli.main import main
 from warpsar.effects.registry import validate
 from warpsar.errors import InputError
-from warpsar.formats.base import extra
 from warpsar.io.geotiff import RasterPlace, write_cog
 from warpsar.io.images import read_channel
+from warpsar.runtime import extra
 from warpsar.runtime.devices import resolve_device
 from warpsar.scene.scene import Scene
 from warpsar.simulation.command import simulate as images_of

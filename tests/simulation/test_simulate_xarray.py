@@ -12,7 +12,7 @@ from worlds import ground, mesh_of, scene_of, view
 
 import warpsar
 from warpsar.cli.main import main
-from warpsar.formats.base import extra
+from warpsar.runtime import extra
 from warpsar.simulation.formats import netcdf, zarr
 from warpsar.simulation.view import SimulatedView
 

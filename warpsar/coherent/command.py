@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -32,7 +33,9 @@ from warpsar.world.library.fill import held
 from warpsar.world.library.fill import material as surface
 from warpsar.world.library.surfaces import SURFACES
 from warpsar.world.mesh import read_mesh
+from warpsar.world.objects.table import UNITS
 from warpsar.world.tables import Material, Radar
+from warpsar.world.units import guessed_unit
 from warpsar.world.world import NO_IMAGE
 
 COLUMNS = (
@@ -70,11 +73,13 @@ def run(
     isar: bool = False,
     layers: bool = False,
     max_memory_gib: float | None = None,
+    units: str | None = None,
+    up: str | None = None,
 ) -> dict[str, Any]:
     """`warpsar rcs`: the files of the sweep in `out`. Returns the JSON's content.
 
-    `path` is a scene file, or a mesh file whose one `material` is "metal" or a surface of the library. Raises
-    InputError and DeviceError.
+    `path` is a scene file, or a mesh file whose one `material` is "metal" or a surface of the library; `units` and `up`
+    are of a mesh file, as in `new_scene`. Raises InputError and DeviceError.
     """
     started = time.perf_counter()
     azimuth = [float(a) for a in angles(azimuths, "--azimuths", -360.0, 360.0, ends=True)]
@@ -86,7 +91,10 @@ def run(
         ]
         if frequency != sorted(frequency):
             raise InputError(f"--frequencies: found {frequencies!r}; must ascend")
-    scene, out = scene_of(Path(path), material, frequency), Path(out)
+    scene, unit, guess = scene_of(Path(path), material, frequency, units, up)
+    out = Path(out)
+    if guess is not None:
+        console.say(guess)
     if isar:
         refuse_steps(scene, azimuth, incidence, frequency or [scene.radar.frequency_hz])
     asked = RcsRequest.of(scene, azimuth, incidence, frequency, device, rays_per_wavelength, layers, max_memory_gib)
@@ -131,7 +139,8 @@ def run(
     content = write_json(out / "rcs.json", scene, where, None, started, content)
     words = ["warpsar", "rcs", str(path), "-o", str(out), "--azimuths", azimuths, "--incidences", incidences]
     words += ["--rays-per-wavelength", f"{rays_per_wavelength:g}", "--device", where.alias]
-    words += [] if material is None else ["--material", material]
+    words += [] if material is None else ["--material", material, "--units", unit]
+    words += [] if up is None else ["--up", up]
     words += [] if frequencies is None else ["--frequencies", frequencies]
     words += ["--isar"] * isar + ["--layers"] * layers
     write_report(out, found, content, words)
@@ -139,25 +148,38 @@ def run(
     return content
 
 
-def scene_of(path: Path, material: str | None, frequency_hz: list[float] | None) -> Scene:
-    """The scene of a scene file, or of a mesh file in one material."""
+def scene_of(
+    path: Path, material: str | None, frequency_hz: list[float] | None, units: str | None = None, up: str | None = None
+) -> tuple[Scene, str, str | None]:
+    """The scene of a scene file, or of a mesh file in one material; its unit, and how that was guessed, in words."""
     if path.suffix.lower() == ".toml":
-        if material is not None:
-            raise InputError(f"--material: found {material!r}; must be left out, since {path} states its materials")
-        return Scene.load(path)
+        for option, value, what in (
+            ("--material", material, "its materials"),
+            ("--units", units, "metres"),
+            ("--up", up, "what is up"),
+        ):
+            if value is not None:
+                raise InputError(f"{option}: found {value!r}; must be left out, since {path} states {what}")
+        return Scene.load(path), "m", None
+    missing = []
     if material is None:
-        raise InputError(
+        missing.append(
             f"--material: missing; a mesh file ({path}) needs metal, or one of {', '.join(SURFACES)}; a scene file "
             "(.toml) states its own"
         )
     if frequency_hz is None:
-        raise InputError(f"--frequencies: missing; a mesh file ({path}) states none")
-    mesh = read_mesh(path)
+        missing.append(f"--frequencies: missing; a mesh file ({path}) states none")
+    if material is None or frequency_hz is None:
+        raise InputError("; ".join(missing))
+    mesh = read_mesh(path, up=up)
+    unit, guess = (units, None) if units is not None else guessed_unit(path, mesh.vertices)
+    mesh = replace(mesh, vertices=UNITS[unit] * mesh.vertices)
     made = Material(conductor=True) if material == METAL else surface(material, frequency_hz[-1])
     radar = Radar(frequency_hz=frequency_hz[-1], polarizations=("HH", "VV"))
     said = tuple(f"{path}: {warning}" for warning in mesh.warnings)
     named = dict.fromkeys(mesh.materials, made)
-    return Scene(mesh=mesh, radar=radar, grid=NO_IMAGE, materials=named, views=[], mesh_path=path, warnings=said)
+    scene = Scene(mesh=mesh, radar=radar, grid=NO_IMAGE, materials=named, views=[], mesh_path=path, warnings=said)
+    return scene, unit, guess
 
 
 def _finite(what: Callable[..., Any], found: Rcs) -> float | None:

@@ -24,6 +24,7 @@ GROUPS = (0.0, 0.1, 1.0, np.inf)  # of pixels, by the granted part of their vari
 FEWEST = 20  # pixels of a group
 CUT = 4.0  # standard deviations at which a pixel is cut off: the square of one of a few looks is far-tailed
 SURE = 1e-3  # chance under which a group tells the displacement
+_NOT_JUDGED = {"displacement_m": None, "most_m": None, "p": None}
 SDS = 2.0  # standard errors about the mean square of the displacement, that are reported
 TILE = 16  # pixels on a side: outlines within it are taken to be displaced alike, and others by themselves
 
@@ -78,7 +79,8 @@ class EdgeDisplacements:
         """One sentence."""
         if not self.judged:
             count = sum(one.pixels for one in self.images)
-            return f"edges were not judged: their {count} pixels do not tell half a pixel"
+            why = f"their {count} pixels do not tell half a pixel" if count else "no edge shows beside speckle"
+            return f"edges were not judged: {why}"
         rest = [one.image for one in self.images if not one.judged]
         more = " and others" if len(rest) > 3 else ""
         beside = f"; those of {', '.join(rest[:3])}{more} were not judged" if rest else ""
@@ -91,7 +93,7 @@ class EdgeDisplacements:
             "judged": self.judged,
             "displacement_m": self.displacement_m if self.judged else None,
             "most_m": self.most_m if self.judged else None,
-            "images": [asdict(one) for one in self.images],
+            "images": [asdict(one) | ({} if one.judged else _NOT_JUDGED) for one in self.images],
         }
 
 

@@ -18,7 +18,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from warpsar.errors import InputError, shown
 from warpsar.formats.base.data import ImageChip
-from warpsar.formats.base.extra import Extra
 from warpsar.formats.base.format import Format, Stated
 from warpsar.formats.base.located import chip_of
 from warpsar.io import geotiff, input_file
@@ -26,6 +25,7 @@ from warpsar.products.grid import LineGrid
 from warpsar.products.orbit import Orbit
 from warpsar.products.product import Product, Radiometry, to_beta0
 from warpsar.products.zero_doppler import Side, incidence_deg, locate, toward_radar
+from warpsar.runtime.extra import Extra
 from warpsar.world.earth import ecef_to_geodetic
 
 F64 = NDArray[np.float64]

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from warpsar.errors import InputError
 from warpsar.formats.base.acquisition import START, RecordedSignal
 from warpsar.formats.base.data import PhaseHistory, reading
-from warpsar.formats.base.extra import Extra
 from warpsar.formats.base.format import Format, Stated
 from warpsar.io.images import replacing
+from warpsar.runtime.extra import Extra
 from warpsar.version import __version__
 from warpsar.world.earth import LocalEarth, ecef_to_geodetic
 from warpsar.world.frame import SPEED_OF_LIGHT

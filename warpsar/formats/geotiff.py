@@ -9,10 +9,10 @@ import numpy as np
 
 from warpsar.errors import InputError
 from warpsar.formats.base.data import Facts, ImageChip
-from warpsar.formats.base.extra import Extra
 from warpsar.formats.base.format import Format, Stated
 from warpsar.formats.base.pictures import quantity_of
 from warpsar.io import geotiff
+from warpsar.runtime.extra import Extra
 from warpsar.world.earth import WGS84, ecef_to_geodetic, needed
 
 LARGEST_PIECE = 2**24

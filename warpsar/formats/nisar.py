@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 
 from warpsar.errors import InputError
 from warpsar.formats.base.data import ImageChip, reading
-from warpsar.formats.base.extra import Extra
 from warpsar.formats.base.format import Format, Stated
 from warpsar.formats.base.located import chip_of
 from warpsar.products.grid import LineGrid
@@ -22,6 +21,7 @@ from warpsar.products.lookup import LineTable
 from warpsar.products.orbit import Orbit
 from warpsar.products.product import Product
 from warpsar.products.zero_doppler import Side
+from warpsar.runtime.extra import Extra
 
 if TYPE_CHECKING:
     import h5py

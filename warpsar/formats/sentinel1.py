@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from warpsar.errors import InputError
 from warpsar.formats.base.data import ImageChip, reading
-from warpsar.formats.base.extra import Extra
 from warpsar.formats.base.format import Format, Stated
 from warpsar.formats.base.located import chip_of
 from warpsar.io import input_file
@@ -26,6 +25,7 @@ from warpsar.products.lookup import LineTable
 from warpsar.products.orbit import Orbit
 from warpsar.products.product import Product
 from warpsar.products.tops import Tops
+from warpsar.runtime.extra import Extra
 from warpsar.world.frame import SPEED_OF_LIGHT
 
 EXTRA = Extra("geo", ("rasterio",))

@@ -21,12 +21,12 @@ from warpsar.errors import InputError
 from warpsar.formats.base.acquisition import F64, START, Acquisition, FormedImage
 from warpsar.formats.base.data import Facts, ImageChip, direction_deg, reading
 from warpsar.formats.base.declared import Declared, cells_of, half_power_width
-from warpsar.formats.base.extra import Extra
 from warpsar.formats.base.format import Format, Stated
 from warpsar.io.images import replacing
 from warpsar.products.grid import LineGrid
 from warpsar.products.orbit import Orbit
 from warpsar.products.product import Product
+from warpsar.runtime.extra import Extra
 from warpsar.version import __version__
 from warpsar.world.earth import LocalEarth, ecef_to_geodetic
 from warpsar.world.frame import SPEED_OF_LIGHT

@@ -41,7 +41,19 @@ def run(
 ) -> dict[str, Any]:
     """`warpsar learn`: scene.toml with what was learned, history.csv, learn.json and figures in `out`. Returns the
     JSON's content."""
-    return fitted(scene_path, out, device=device, options=options, resume=resume)[1]
+    found, content = fitted(scene_path, out, device=device, options=options, resume=resume)
+    once.write(lambda: print_in_short(found))
+    return content
+
+
+def print_in_short(found: Learned | LearnedCurves) -> None:
+    """The last line of the command: how well the result fits."""
+    if isinstance(found, LearnedCurves):
+        words = errors_in_short(found.after)
+    else:
+        words = f"train deviance {found.train['deviance']:.4f}"
+        words += "" if found.test is None else f", test deviance {found.test['deviance']:.4f}"
+    print(words, file=sys.stdout, flush=True)
 
 
 def fitted(
@@ -62,7 +74,6 @@ def fitted(
         of_curves.scene.save(out / "scene.toml")
         for sentence in of_curves.words:
             console.say(sentence)
-        print(errors_in_short(of_curves.after), file=sys.stdout)
         written = write_json(out / "learn.json", scene, where, options.seed, started, of_curves.content())
         console.say_written(out, "scene.toml", "learn.json")
         return of_curves, written
@@ -93,11 +104,6 @@ def fitted(
         written = write_json(out / "learn.json", scene, where, options.seed, started, content)
         checkpoint.remove(out)
         console.say_written(out, "scene.toml", "learn.json", "history.csv", "figures")
-        print(
-            f"train deviance {found.train['deviance']:.4f}"
-            + ("" if found.test is None else f", test deviance {found.test['deviance']:.4f}"),
-            file=sys.stdout,
-        )
         return written
 
     return found, once.write(write) or content

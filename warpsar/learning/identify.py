@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from warpsar.compare.observation import Observation
+from warpsar.effects import registry as effects
 from warpsar.learning.problem import FitProblem
 from warpsar.models import registry
 from warpsar.models.base.parameters import OF_SURFACES
@@ -190,7 +191,8 @@ def describe(labels: Sequence[str], covariance: np.ndarray, unseen: np.ndarray) 
     symbols = {one.key: one.symbol for one in (*OF_SURFACES, *registry.own_parameters().values())}
     sentences = []
     for name, members in _groups(labels).items():
-        short = {i: symbols.get(labels[i].rsplit(".", 1)[1], labels[i].rsplit(".", 1)[1]) for i in members}
+        letters = {} if name in effects.names() else symbols  # keys of an effect are its own: `level` of a noise floor
+        short = {i: letters.get(labels[i].rsplit(".", 1)[1], labels[i].rsplit(".", 1)[1]) for i in members}
         sd = {i: _sd(unit[i], covariance, unseen) for i in members}
         good = [i for i in members if sd[i] < UNDETERMINED_SD]
         bad = [i for i in members if i not in good]

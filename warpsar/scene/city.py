@@ -13,10 +13,13 @@ from numpy.typing import NDArray
 from warpsar.errors import InputError
 from warpsar.io import geotiff
 from warpsar.runtime import console
+from warpsar.runtime.extra import Extra
 from warpsar.scene import footprints
 from warpsar.scene.footprints import Buildings, Outline, Ring, Surfaces
 from warpsar.world.mesh import Mesh
 from warpsar.world.tables import Origin
+
+EXTRA = Extra("geo", ("shapely", "rasterio"))
 
 if TYPE_CHECKING:
     from affine import Affine
@@ -125,6 +128,7 @@ class TownPlan:
 
 def plan_of(path: Path) -> TownPlan:
     """The buildings of a file about their middle. Raises InputError."""
+    EXTRA.require(f"{path}: a file of buildings")
     buildings = _whole(path, footprints.read(path))
     flat = np.concatenate([ring[:, :2] for ring in _rings(buildings)])
     with geotiff.projecting(path):

@@ -21,15 +21,12 @@ from warpsar.scene import city, footprints
 from warpsar.scene.unwrap import write_obj
 from warpsar.world.frame import SPEED_OF_LIGHT, ViewGeometry, view_geometry
 from warpsar.world.library.names import surface_named
-from warpsar.world.mesh import GLTF, Mesh, read_mesh, unlikely_size
+from warpsar.world.mesh import GLTF, SUFFIXES, Mesh, read_mesh, unlikely_size
 from warpsar.world.meshes.dem import SUFFIXES as DEM_SUFFIXES
 from warpsar.world.objects.table import UNITS
 from warpsar.world.sensors import SENSORS, Sensor, noise_beta0
 from warpsar.world.tables import Grid
-
-MILLIMETRES_FROM = 1000.0
-"""Larger meshes whose format states no unit are taken as millimetres."""
-_IN_METRES = (*GLTF, *DEM_SUFFIXES)  # by their standard, or turned into metres by their reader
+from warpsar.world.units import guessed_unit
 
 FREQUENCY_HZ = 9.6e9
 INCIDENCE_DEG = 40.0
@@ -39,8 +36,11 @@ WAVELENGTHS_PER_WIDTH = 2.0
 """Of the finest resolution where no sensor is stated. It is c / (2 B) in range. The band B of imaging radars is a
 quarter of their frequency at most, so they resolve two wavelengths or more; and a patch of a surface that is smaller
 than a wavelength has no cross-section of its own."""
+_GROUND = 4.0  # sides of a ground over the mesh's size: shadows of a tower as high as wide end on it
 FEW_PIXELS = 32  # across the mesh: fewer show hardly more than a blot
-AZIMUTHS_DEG = (20.0, 140.0, 260.0)  # no side of a building that faces north lies straight across
+AZIMUTHS_DEG = {20.0: "train", 140.0: "train", 260.0: "train", 320.0: "test"}
+"""Of the views, with their roles: no side of a building that faces north lies straight across. The last one is for the
+check that learn and diagnose make, so that a fit has three sides of a body, and one that it has not seen."""
 
 _HEAD = """\
 # Made from {source}. Lengths are in metres, angles in degrees.
@@ -118,6 +118,16 @@ _OBJECTS = """
 # position_m = [0.0, 0.0, 0.0]      # east, north, up
 # heading_deg = 0.0                 # clockwise from north
 # material = {material}
+
+# If the mesh has no ground, shadows and the bounces at the foot of walls have nothing to fall on. This lays some:
+# [[objects]]
+# name = "ground"
+# primitive = "plate"
+# size_m = {ground}
+# position_m = {foot}
+# material = "ground"
+# [materials.ground]
+# library = "grass"
 """
 
 _VIEWS = """
@@ -131,6 +141,8 @@ name = "{name}"
 azimuth_deg = {azimuth}
 incidence_deg = {incidence}
 """
+
+_ROLES = {"train": "", "test": 'role = "test"  # no fit uses it: learn, evaluate and diagnose are checked by it\n'}
 
 
 def new_scene(
@@ -173,6 +185,9 @@ def new_scene(
     for option, given, what in (("--units", units, "its own unit"), ("--up", up, "heights, which point up")):
         if given is not None and suffix in DEM_SUFFIXES:
             raise InputError(f"{option}: found {given}; an elevation model states {what}, leave it out")
+    if suffix not in SUFFIXES:
+        known = ", ".join((*SUFFIXES, *footprints.SUFFIXES))
+        raise InputError(f"{mesh_path}: found a file of type '{suffix}'; must be a mesh or buildings: {known}")
     mesh = read_mesh(mesh_path, up=up)
     if up is None:
         _say_what_is_up(mesh_path, mesh)
@@ -237,13 +252,9 @@ def _new_city(folder: Path, source: Path, dem: Path | None, sensor: str | None) 
 
 def _guessed_unit(path: Path, mesh: Mesh) -> str:
     """The likely unit of the mesh's coordinates; says what was guessed, and how to change it."""
-    if path.suffix.lower() in _IN_METRES:
-        return "m"
-    size = np.ptp(mesh.vertices, axis=0)
-    unit = "mm" if size.max() > MILLIMETRES_FROM else "m"
-    across = " x ".join(f"{each:.4g}" for each in size)
-    others = ", ".join(each for each in UNITS if each != unit)
-    console.say(f"{path}: {across} units across; taken as {unit}, a guess. If it is wrong: --units with {others}")
+    unit, words = guessed_unit(path, mesh.vertices)
+    if words is not None:
+        console.say(words)
     return unit
 
 
@@ -316,9 +327,12 @@ def _scene(
     else:
         effects += _RESPONSE.format(whose=_STATED_WIDTHS, widths=known.resolution_m)
     views = "".join(
-        _VIEW.format(name=f"az{azimuth:03.0f}", azimuth=azimuth, incidence=incidence_deg) for azimuth in AZIMUTHS_DEG
+        _VIEW.format(name=f"az{azimuth:03.0f}", azimuth=azimuth, incidence=incidence_deg) + _ROLES[role]
+        for azimuth, role in AZIMUTHS_DEG.items()
     )
-    objects = _OBJECTS.format(material=tomlkit.item(mesh.materials[0]).as_string())
+    spread = [float(f"{_GROUND * side:.3g}") for side in np.full(2, (high - low).max())]
+    foot = [*reference[:2].tolist(), float(np.round(low[2], decimals)) + 0.0]
+    objects = _OBJECTS.format(material=tomlkit.item(mesh.materials[0]).as_string(), ground=[*spread, 0.0], foot=foot)
     return grid, head + materials + effects + objects + _VIEWS + views
 
 

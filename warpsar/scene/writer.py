@@ -136,7 +136,10 @@ def _merge(document: Any, tables: Any) -> None:
         elif key in ("views", "objects", "curves") and isinstance(old, list):
             for index, item in enumerate(value):
                 if index < len(old):
+                    new = [name for name, of in item.items() if isinstance(of, dict) and name not in old[index]]
                     _merge(old[index], item)
+                    if new and index + 1 < len(old):
+                        old[index][new[-1]].add(tomlkit.nl())  # else the next head stands right below it
                 else:
                     old.append(tomlkit.item(item))
             del old[len(value) :]

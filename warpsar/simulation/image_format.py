@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from warpsar.formats.base.extra import Extra
+from warpsar.runtime.extra import Extra
 from warpsar.simulation.ground import MapGround
 from warpsar.simulation.view import SimulatedView
 

@@ -11,9 +11,9 @@ from uuid import uuid4
 
 import numpy as np
 
-from warpsar.formats.base.extra import Extra
 from warpsar.io.geotiff import write_cog
 from warpsar.io.images import replacing
+from warpsar.runtime.extra import Extra
 from warpsar.terrain.layers import Layer, of_image, of_map
 from warpsar.terrain.result import SimulatedProduct
 from warpsar.version import __version__

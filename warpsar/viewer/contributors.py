@@ -36,14 +36,17 @@ def run(
     frequency_hz: float | None,
     *,
     material: str | None = None,
+    units: str | None = None,
+    up: str | None = None,
     device: str | None = None,
     rays_per_wavelength: float,
 ) -> Path:
-    """Write the page into the folder `out`, and return its path; `path` and `material` are those of `warpsar rcs`.
+    """Write the page into the folder `out`, and return its path; `path`, `material`, `units` and `up` are those of
+    `warpsar rcs`.
 
     Raises InputError.
     """
-    scene = scene_of(path, material, None if frequency_hz is None else [frequency_hz])
+    scene, _, _ = scene_of(path, material, None if frequency_hz is None else [frequency_hz], units, up)
     with busy("finding which faces send"):
         found = contributors(
             scene, azimuth_deg, incidence_deg, frequency_hz, device=device, rays_per_wavelength=rays_per_wavelength

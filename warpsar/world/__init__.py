@@ -7,6 +7,7 @@ material names. curve: `[[curves]]`. pixels: an image in memory. problems: what 
 frame: the axes of a view. earth: the world on the ellipsoid. site: the reference point there. track: where a sensor is.
 objects/: bodies that a scene places. sound_objects: those that cannot be meant. library/: surfaces by name.
 sensors: public civil sensors, for first scenes. taper: windows over a band or an aperture.
+units: the unit of a mesh file that states none.
 collection: `[collection]`. tolerance: how well the value at a key is known.
 transform: the coordinate in which a fit moves a value.
 """

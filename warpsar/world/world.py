@@ -81,8 +81,8 @@ class World:
 
     @property
     def name(self) -> str:
-        """What a message calls it: the scene file, or "scene in memory"."""
-        return str(self.path or "scene in memory")
+        """What a message calls it: the scene file, else the mesh's, or "scene in memory"."""
+        return str(self.path or self.mesh_path or "scene in memory")
 
     def wavenumber(self, view: View) -> float:
         """2 pi f / c [rad/m] of a view."""

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from warpsar.formats.base.data import ImageChip, PhaseHistory, Quantity, RadarAt
-from warpsar.formats.base.extra import Extra
 from warpsar.products.product import Product
+from warpsar.runtime.extra import Extra
 from warpsar.world.earth import EarthFrame
 
 

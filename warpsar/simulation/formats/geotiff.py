@@ -5,8 +5,8 @@ from __future__ import annotations
 from functools import partial
 from pathlib import Path
 
-from warpsar.formats.base.extra import Extra
 from warpsar.io.geotiff import write_cog
+from warpsar.runtime.extra import Extra
 from warpsar.simulation.ground import MapGround
 from warpsar.simulation.image_format import ImageFormat, Parts
 from warpsar.simulation.view import SimulatedView

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from uuid import uuid4
 
-from warpsar.formats.base.extra import Extra
+from warpsar.runtime.extra import Extra
 from warpsar.simulation.ground import MapGround
 from warpsar.simulation.image_format import ImageFormat, Parts
 from warpsar.simulation.view import SimulatedView
