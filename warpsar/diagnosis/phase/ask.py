@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from warpsar.diagnosis.phase.fit import MOTION, POLYNOMIAL, QUADRATIC, QUADRATIC_MOTION, SPLINE, PhaseFamily, fitted
 from warpsar.diagnosis.phase.least import ACROSS, CUBIC, FOUND, SQUARE, least_found
-from warpsar.diagnosis.phase.search import SURE, Present, Rows, Speckle, moved, present
+from warpsar.diagnosis.phase.search import SURE, FoldedRows, Present, SpeckleGains, moved, present
 from warpsar.diagnosis.phase.spectrum import AzimuthSpectrum
 
 Outcome = Literal["named", "absent", "not testable", "not told", "declared"]
@@ -101,8 +101,8 @@ def asked(folds: Sequence[AzimuthSpectrum], seed: int = 0) -> Asked:
     if min(map(len, folds)) < FEWEST_ROWS:
         few = min(map(len, folds))
         return _both("not testable", f"{few} rows in one half of the image; at least {FEWEST_ROWS} are needed")
-    rows = Rows(folds)
-    speckle = Speckle(rows, seed)
+    rows = FoldedRows(folds)
+    speckle = SpeckleGains(rows, seed)
     found = present(rows, speckle)
     if found.named and not speckle.tells(found.family):
         return _both("not testable", "beside the best phase contrast falls no more than that of speckle does")
@@ -138,7 +138,7 @@ def _both(outcome: Outcome, why: str) -> Asked:
     return Asked(PhaseFound(outcome, why), MotionFound(outcome, why))
 
 
-def _named(rows: Rows, speckle: Speckle, found: Present) -> Asked:
+def _named(rows: FoldedRows, speckle: SpeckleGains, found: Present) -> Asked:
     """There is a phase error: does it change with range?"""
     motion = _motion(rows, speckle)
     told = partial(PhaseFound, gain_of_weights=found.weights)
@@ -158,7 +158,7 @@ def _named(rows: Rows, speckle: Speckle, found: Present) -> Asked:
     return Asked(told("named", why, gain=best.gain, gain_of_speckle=(mean, sd)), motion)
 
 
-def _motion(rows: Rows, speckle: Speckle) -> MotionFound:
+def _motion(rows: FoldedRows, speckle: SpeckleGains) -> MotionFound:
     """Of an image that has a phase error."""
     if not rows.families[1].aside:
         return _not_moved(rows, speckle)
@@ -180,7 +180,7 @@ def _motion(rows: Rows, speckle: Speckle) -> MotionFound:
     return told("named", why, same, aside, error)
 
 
-def _not_moved(rows: Rows, speckle: Speckle) -> MotionFound:
+def _not_moved(rows: FoldedRows, speckle: SpeckleGains) -> MotionFound:
     """With the size from which on an error of the track would be found."""
     if not rows.families[1].aside:
         return MotionFound(
@@ -196,7 +196,7 @@ def _not_moved(rows: Rows, speckle: Speckle) -> MotionFound:
     return MotionFound("absent", why, least_rad=least)
 
 
-def _of_all_rows(rows: Rows, family: PhaseFamily) -> tuple[float, ...]:
+def _of_all_rows(rows: FoldedRows, family: PhaseFamily) -> tuple[float, ...]:
     return tuple(fitted(AzimuthSpectrum.joined(rows.folds), family).tolist())
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpsar.diagnosis.phase.fit import POLYNOMIAL
-from warpsar.diagnosis.phase.search import Rows, Speckle, moved, present
+from warpsar.diagnosis.phase.search import FoldedRows, SpeckleGains, moved, present
 from warpsar.diagnosis.phase.spectrum import AzimuthSpectrum
 
 F64 = NDArray[np.float64]
@@ -31,7 +31,7 @@ _BLOCK_WINDOWS = 2
 
 
 @dataclass(frozen=True)
-class Kind:
+class Injected:
     """An error of one column of the polynomial."""
 
     column: int
@@ -44,10 +44,10 @@ class Kind:
         return np.asarray(lines.aside[:, None] * one if self.across else one)
 
 
-SQUARE, CUBIC, ACROSS = Kind(0), Kind(1), Kind(0, across=True)
+SQUARE, CUBIC, ACROSS = Injected(0), Injected(1), Injected(0, across=True)
 
 
-def shows(rows: Rows, speckle: Speckle, kind: Kind, size_rad: float) -> float:
+def shows(rows: FoldedRows, speckle: SpeckleGains, kind: Injected, size_rad: float) -> float:
     """The share of draws and signs in which an error would gain more than speckle does, as said above."""
     drawn = _blocks_drawn(rows)
     families = [family for family in rows.families if family.aside or not kind.across]
@@ -59,7 +59,7 @@ def shows(rows: Rows, speckle: Speckle, kind: Kind, size_rad: float) -> float:
     return float(np.mean(several))
 
 
-def least_found(rows: Rows, speckle: Speckle, kind: Kind) -> float | None:
+def least_found(rows: FoldedRows, speckle: SpeckleGains, kind: Injected) -> float | None:
     """The smallest size that is found [rad]; None where not even a turn is."""
     first = len(SIZES_RAD)
     while first > 0 and shows(rows, speckle, kind, SIZES_RAD[first - 1]) >= FOUND:
@@ -70,16 +70,16 @@ def least_found(rows: Rows, speckle: Speckle, kind: Kind) -> float | None:
     return None
 
 
-def _with_error(rows: Rows, kind: Kind, size_rad: float) -> Iterator[Rows]:
+def _with_error(rows: FoldedRows, kind: Injected, size_rad: float) -> Iterator[FoldedRows]:
     for sign in _SIGNS:
-        yield Rows([lines.turned(kind.phase(lines, sign * size_rad)) for lines in rows.folds])
+        yield FoldedRows([lines.turned(kind.phase(lines, sign * size_rad)) for lines in rows.folds])
 
 
-def _is_found(rows: Rows, speckle: Speckle, kind: Kind) -> bool:
+def _is_found(rows: FoldedRows, speckle: SpeckleGains, kind: Injected) -> bool:
     return present(rows, speckle).named and (not kind.across or moved(rows, speckle).named)
 
 
-def _blocks_drawn(rows: Rows) -> F64:
+def _blocks_drawn(rows: FoldedRows) -> F64:
     """How often each row is there when blocks of neighbours are drawn again, (draws, rows)."""
     random, told = np.random.default_rng(7), []
     for lines in rows.folds:

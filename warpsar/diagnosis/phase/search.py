@@ -34,7 +34,7 @@ PAIRS = ((QUADRATIC_MOTION, QUADRATIC), (MOTION, POLYNOMIAL))
 
 
 @dataclass(frozen=True)
-class Search:
+class FamilySearch:
     """Both folds under one family."""
 
     family: PhaseFamily
@@ -51,12 +51,12 @@ class Search:
         return np.asarray(0.5 * np.abs(self.each[0] - self.each[1]))
 
 
-class Rows:
+class FoldedRows:
     """Two folds of rows, and what each family finds on them, worked out when it is asked for."""
 
     def __init__(self, folds: Sequence[AzimuthSpectrum]) -> None:
         self.folds = list(folds)
-        self._found: dict[PhaseFamily, Search] = {}
+        self._found: dict[PhaseFamily, FamilySearch] = {}
 
     @cached_property
     def families(self) -> tuple[PhaseFamily, ...]:
@@ -77,11 +77,11 @@ class Rows:
         """The contrast of each row with the phase of its fold taken off, one fold after the other, (rows,)."""
         return np.concatenate([corrected(*pair) for pair in zip(self.folds, phases, strict=True)])
 
-    def search(self, family: PhaseFamily) -> Search:
+    def search(self, family: PhaseFamily) -> FamilySearch:
         if family not in self._found:
             one, other = (fitted(*pair) for pair in zip(self.folds, (family,) * 2, self._trials, strict=True))
             sharp = self.under([family.phase(*pair) for pair in zip(self.folds, (other, one), strict=True)])
-            self._found[family] = Search(family, (one, other), sharp, float((sharp - self.plain).sum()))
+            self._found[family] = FamilySearch(family, (one, other), sharp, float((sharp - self.plain).sum()))
         return self._found[family]
 
     def loss(self, family: PhaseFamily) -> float:
@@ -98,21 +98,21 @@ class Rows:
         pairs = zip(self.folds, reversed(self.search(family).each), strict=True)
         return [lines.turned(-family.phase(lines, found)) for lines, found in pairs]
 
-    def bent(self) -> Rows:
+    def bent(self) -> FoldedRows:
         """A rival: the same rows, and in place of the sine of a look direction its square, less what goes with the sine
         and with none. No track gives that."""
         aside = np.concatenate([one.aside for one in self.folds])
         line = np.polynomial.Polynomial.fit(aside, aside**2, 1)
         most = max(float(np.abs(aside**2 - line(aside)).max()), 1e-12)
-        found = Rows([replace(one, aside=(one.aside**2 - line(one.aside)) / most) for one in self.folds])
+        found = FoldedRows([replace(one, aside=(one.aside**2 - line(one.aside)) / most) for one in self.folds])
         found._trials = self._trials  # which know of no look direction
         return found
 
 
-class Speckle:
+class SpeckleGains:
     """What the search gains on homogeneous speckle with the mean spectra of the rows."""
 
-    def __init__(self, rows: Rows, seed: int) -> None:
+    def __init__(self, rows: FoldedRows, seed: int) -> None:
         self._rows, self._seed = rows, seed
         gains: dict[PhaseFamily, list[float]] = {family: [] for family in rows.families}
         for drawn in self._drawn():
@@ -122,10 +122,10 @@ class Speckle:
         self.folds = drawn.folds
         """Of one draw."""
 
-    def _drawn(self) -> Iterator[Rows]:
+    def _drawn(self) -> Iterator[FoldedRows]:
         random = np.random.default_rng([self._seed, 5])
         for _ in range(DRAWS):
-            yield Rows([one.speckle(random) for one in self._rows.folds])
+            yield FoldedRows([one.speckle(random) for one in self._rows.folds])
 
     def tells(self, family: PhaseFamily) -> bool:
         """Whether the rows lose more contrast beside their best phase than speckle does beside its own: without points
@@ -159,7 +159,7 @@ class Present:
     """What the phase adds to that."""
 
 
-def present(rows: Rows, speckle: Speckle) -> Present:
+def present(rows: FoldedRows, speckle: SpeckleGains) -> Present:
     """Families in turn: one must gain more than speckle does, and beside real weights."""
     weights: float | None = None
     last: Present | None = None
@@ -197,10 +197,10 @@ class Moved:
     gain: float
     """Beyond that of `less`."""
     rival: float = 0.0
-    """The same of `Rows.bent`."""
+    """The same of `FoldedRows.bent`."""
 
 
-def moved(rows: Rows, speckle: Speckle) -> Moved:
+def moved(rows: FoldedRows, speckle: SpeckleGains) -> Moved:
     """Pairs of families in turn: the part that goes with range must gain more than it does in speckle, and than the
     rival's part does."""
     last: Moved | None = None
