@@ -160,9 +160,10 @@ def footprint(side: wp.vec3d, normal: wp.vec3d, direction: wp.vec3d) -> wp.vec3d
 def read(table: wp.array2d(dtype=wp.vec3d), axis: int, distance: wp.float64) -> wp.vec3d:
     """The response at a distance [cells], and its derivatives; 0 beyond the table."""
     at = (distance + wp.float64(REACH)) * wp.float64(STEPS)
-    low = int(wp.floor(at))
-    if low < 0 or low + 1 >= table.shape[1]:
+    # asked before it becomes a whole number: what a number that is too large becomes depends on the device
+    if not (at >= ZERO and at < wp.float64(table.shape[1] - 1)):
         return wp.vec3d()
+    low = int(wp.floor(at))
     part = at - wp.float64(low)
     return (ONE - part) * table[axis, low] + part * table[axis, low + 1]
 
