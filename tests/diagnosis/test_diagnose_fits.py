@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,11 +13,12 @@ from scipy.ndimage import maximum_filter
 
 from warpsar.diagnosis.dark.evidence import Dark, worth_a_refit
 from warpsar.diagnosis.found import Candidate, Turn
+from warpsar.diagnosis.models import refit
 from warpsar.diagnosis.models.carried import Carried, carried_over
 from warpsar.diagnosis.models.fit_setup import FitSetup, image_of
 from warpsar.diagnosis.models.frozen import frozen
 from warpsar.diagnosis.models.left_out import ViewsLeftOut, leave_one_view_out
-from warpsar.diagnosis.models.refit import BOUND, Fitted, fit_model, narrow, on_bounded_ground, refit_as
+from warpsar.diagnosis.models.refit import BOUND, Fitted, descend, fit_model, narrow, on_bounded_ground, refit_as
 from warpsar.diagnosis.scores.templates import with_effect
 from warpsar.diagnosis.search.confirmation import confirm
 from warpsar.diagnosis.turn.addition import TOO_LITTLE
@@ -25,6 +27,7 @@ from warpsar.diagnosis.turn.screening import GLANCE, Screening
 from warpsar.diagnosis.turn.shortlist import by_rank, surveyed
 from warpsar.effects.base.trial import Context
 from warpsar.effects.registry import get
+from warpsar.learning.optimise import FitState
 from warpsar.runtime import devices
 from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import Rays
@@ -467,6 +470,36 @@ def test_a_single_view_tells_nothing_of_the_surface(tmp_path: Path) -> None:
     base, fitted = (fitted_to(setup, scene, effects) for effects in ({}, {"point_spread": BLUR}))
     assert leave_one_view_out(setup, base, fitted, "point_spread") == ViewsLeftOut(0.0, 0.0, 1)
     assert carried_over(setup, fitted, "point_spread") == Carried(1.0, 1.0)
+
+
+def test_one_start_alone_follows_a_flat_valley(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of six starts the best goes on, and those that still gain on it; not those that are hopeless, or crawl beside it.
+
+    Losses by iteration: the best one; one that will pass it; one in the same valley; one without hope that falls; one
+    that stands; one that has arrived.
+    """
+    losses = [
+        lambda k: 100.0 - 0.01 * k,
+        lambda k: 130.0 - k,
+        lambda k: 100.5 - 0.02 * k,
+        lambda k: 900.0 - 2.0 * k,
+        lambda k: 150.0,
+        lambda k: 100.0,
+    ]
+    steps = [0] * len(losses)
+
+    def step(problem: Any, state: FitState, *_: Any, **__: Any) -> FitState:
+        which, k = int(state.x[0]), state.since_start + 1
+        steps[which] += 1
+        loss = losses[which](k)
+        state = replace(state, loss=loss, best_loss=min(loss, state.best_loss))
+        return replace(state, iteration=k, since_start=k, arrived=which == 5)
+
+    monkeypatch.setattr(refit, "levenberg_marquardt", step)
+    problem: Any = SimpleNamespace(bounds=(np.zeros(1), np.full(1, 9.0)))
+    x, loss, iterations = descend(problem, [np.full(1, float(k)) for k in range(len(losses))])
+    assert steps == [40, 40, 12, 12, 12, 1]
+    assert (x[0], loss, iterations) == (1.0, 90.0, sum(steps))
 
 
 def test_candidates_far_below_the_best_wait() -> None:

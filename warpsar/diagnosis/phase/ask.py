@@ -160,7 +160,7 @@ def _named(rows: FoldedRows, speckle: SpeckleGains, found: Present) -> Asked:
 
 def _motion(rows: FoldedRows, speckle: SpeckleGains) -> MotionFound:
     """Of an image that has a phase error."""
-    if not rows.families[1].aside:
+    if not rows.has_look_directions:
         return _not_moved(rows, speckle)
     found = moved(rows, speckle)
     mean, sd = speckle.moments(found.family, found.less)
@@ -182,7 +182,7 @@ def _motion(rows: FoldedRows, speckle: SpeckleGains) -> MotionFound:
 
 def _not_moved(rows: FoldedRows, speckle: SpeckleGains) -> MotionFound:
     """With the size from which on an error of the track would be found."""
-    if not rows.families[1].aside:
+    if not rows.has_look_directions:
         return MotionFound(
             "not testable",
             "look directions of the rows are not known, or the same; slant_range_m of the view says them",

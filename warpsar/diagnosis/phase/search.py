@@ -59,10 +59,16 @@ class FoldedRows:
         self._found: dict[PhaseFamily, FamilySearch] = {}
 
     @cached_property
+    def has_look_directions(self) -> bool:
+        """Whether the rows' look directions are known, and differ."""
+        return any(one.aside.any() for one in self.folds)
+
+    @cached_property
     def families(self) -> tuple[PhaseFamily, ...]:
         """Those that can be asked: without look directions none that changes with range."""
-        turned = any(one.aside.any() for one in self.folds)
-        return (QUADRATIC, QUADRATIC_MOTION, POLYNOMIAL, MOTION) if turned else (QUADRATIC, POLYNOMIAL)
+        if self.has_look_directions:
+            return QUADRATIC, QUADRATIC_MOTION, POLYNOMIAL, MOTION
+        return QUADRATIC, POLYNOMIAL
 
     @cached_property
     def plain(self) -> F64:
