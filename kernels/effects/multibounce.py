@@ -18,6 +18,8 @@ from warpsar.kernels.geometry import (
 )
 from warpsar.kernels.scattering import bistatic_geometric_optics, fresnel_h, fresnel_v
 
+wp.set_module_options({"max_unroll": 1})  # a border's halvings hold BVH queries: copies of them take minutes to compile
+
 # Every ray of a dihedral has the range of its foot. Where this is the edge between two bins, rounding in float32 would
 # choose the bin of each ray. So a range beyond an edge by this share of a bin, or less, stays on the near side.
 EDGE = wp.constant(1.0e-3)
@@ -283,24 +285,30 @@ def mark_at(rays: PathRays, cell: wp.vec4i, along: float, across: float, records
 
 @wp.func
 def line_of(rays: PathRays, cell: wp.vec4i, across: float, records: PathRecords) -> Line:
-    """A change is found by halving, one in each stretch."""
+    """A change is found by halving, one in each stretch. The loop asks at one place in the code, since each such place
+    holds its own copies of the BVH queries: first where the line begins, then at the end of each stretch."""
     line = Line()
-    mark = mark_at(rays, cell, -0.5, across, records)
-    line.mark[0] = mark
-    for n in range(STRETCHES):
-        low = float(n) / float(STRETCHES) - 0.5
-        high = float(n + 1) / float(STRETCHES) - 0.5
-        beyond = mark_at(rays, cell, high, across, records)
-        if beyond != mark:
-            for _half in range(HALVINGS):
-                middle = 0.5 * (low + high)
-                if mark_at(rays, cell, middle, across, records) == mark:
-                    low = middle
-                else:
-                    high = middle
-            line.at[line.count] = 0.5 * (low + high)
+    mark = wp.uint64(0)
+    for n in range(STRETCHES + 1):
+        low = float(n - 1) / float(STRETCHES) - 0.5
+        high = float(n) / float(STRETCHES) - 0.5
+        along = float(high)
+        beyond = wp.uint64(0)
+        for half in range(HALVINGS + 1):
+            met = mark_at(rays, cell, along, across, records)
+            if half == 0:
+                beyond = met
+            elif met == mark:
+                low = along
+            else:
+                high = along
+            if n == 0 or beyond == mark:
+                break
+            along = 0.5 * (low + high)
+        if n > 0 and beyond != mark:
+            line.at[line.count] = along
             line.count += 1
-            line.mark[line.count] = beyond
+        line.mark[line.count] = beyond
         mark = beyond
     return line
 
