@@ -170,8 +170,10 @@ def left_of(found: Diagnosis, images: Sequence[Comparison], spot: Spot, unexplai
     autocovariance, _ = own_autocovariance(patches)  # what is left shall not excuse itself
     spread = max(float(autocovariance.sum()), 1e-3)
     last = found.turns[-1]
-    in_the_dark = last.dark is not None and last.dark.minus_log_p > max(last.scan_minus_log_p, last.threshold)
-    number = last.dark.observation if in_the_dark and last.dark is not None else spot.observation
+    number, in_the_dark = spot.observation, False
+    if last.dark is not None and last.dark.minus_log_p > max(last.scan_minus_log_p, last.threshold):
+        # the search may have had shadows for dark pixels, which here are pixels as all others
+        number, in_the_dark = last.dark.observation, bool(dark[last.dark.observation].interior.any())
     if in_the_dark:
         field, mask = np.zeros_like(residuals[number]), dark[number].interior
         field[mask] = dark[number].residual

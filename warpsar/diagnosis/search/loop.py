@@ -244,7 +244,7 @@ class Search:
             # geometry puts no power where nothing is lit: what the dark pixels need is added first
             geometry = options.bodies and not dark.asks
             alarm = bool(passing or turn.alarms or shadows)
-            alarm = alarm or bool(once.decide(float(geometry and self._edges_disagree())))
+            alarm = alarm or bool(once.decide(float(geometry and self._judged_wrong())))
             sensor, shifts = screened_sensor(self.scene, setup, here) if geometry else ([], 0.0)
             # a body that is not there leaves a shadow that measures power, and edges: no quiet scene has one
             bodies = screened_bodies(self.scene, setup, here, absent=alarm) if geometry else []
@@ -287,9 +287,10 @@ class Search:
         pixels may be blind to a body of few."""
         return bool(self.turns) and self.turns[-1].added is not None and is_geometry(self.turns[-1].added)
 
-    def _edges_disagree(self) -> bool:
-        """Whether edges do not agree with the images: as at shadows, no scan looks there."""
-        return "edges" in self._judge.judgement(self._judge(self._base.scene, "train")).findings
+    def _judged_wrong(self) -> bool:
+        """Whether edges do not agree with the images, at which no scan looks, or structure is left on all pixels."""
+        verdict = self._judge.judgement(self._judge(self._base.scene, "train"))
+        return bool({"edges", "structure"} & set(verdict.findings))
 
     def _with_geometry(
         self,
