@@ -14,6 +14,8 @@ THIN = wp.constant(wp.float64(1.0e-3))
 """Least width of a facet in the image, in pixels: one that is seen edge on has no area to share out."""
 GRAZING = wp.constant(1.0e-4)
 """Cosine of incidence below which a facet counts as turned away."""
+EDGE_ON = wp.constant(0.01)
+"""Cosine of incidence below which a facet may hide others: `GRAZING`, with room for directions of other facets."""
 FULL_TURN = wp.constant(1.5707963267948966)
 
 
@@ -183,6 +185,29 @@ def in_image(facets: GroundFacets, i: int, j: int, k: int, pixel_m: wp.float64) 
     return shape
 
 
+@wp.kernel(enable_backward=False)
+def hiding_kernel(
+    # In:
+    facets: GroundFacets,
+    # Out:
+    hides_out: wp.array(dtype=wp.uint8),
+):
+    """Which triangles can be the first that a ray to the radar meets.
+
+    A ray that starts above the ground goes into it through a facet that is turned away from the radar: where it goes,
+    it meets the others from below. A ray may start inside a building, and then leaves it: all of its facets count.
+    """
+    f = wp.tid()
+    i = facets.corners[3 * f]
+    j = facets.corners[3 * f + 1]
+    k = facets.corners[3 * f + 2]
+    a = facets.points[i]
+    normal = wp.normalize(wp.cross(facets.points[j] - a, facets.points[k] - a))
+    look = wp.normalize(facets.look[i] + facets.look[j] + facets.look[k])
+    if f >= facets.ground or wp.dot(normal, look) < EDGE_ON:
+        hides_out[f] = wp.uint8(1)
+
+
 @wp.func
 def sees_radar(tree: wp.uint64, point: wp.vec3, look: wp.vec3, clear_m: float, reach_m: float) -> bool:
     return not wp.mesh_query_ray_anyhit(tree, point + clear_m * look, look, reach_m)
@@ -229,8 +254,12 @@ def project_kernel(
     folded = image * facets.forward < wp.float64(0.0)
     density = facet_m2 / float(wp.abs(image))  # [m2] of ground for an area of one line by one metre
     for line in range(first, last + 1):
-        strip, n = cut(whole, 3, 0, wp.float64(line) - half, wp.float64(1.0))
-        strip, n = cut(strip, n, 0, wp.float64(line) + half, wp.float64(-1.0))
+        strip = whole  # a cut that leaves all there costs as much as one that does not
+        n = int(3)
+        if low < wp.float64(line) - half:
+            strip, n = cut(strip, n, 0, wp.float64(line) - half, wp.float64(1.0))
+        if high > wp.float64(line) + half:
+            strip, n = cut(strip, n, 0, wp.float64(line) + half, wp.float64(-1.0))
         if n < 3:
             continue
         near = strip[0, 1]
@@ -242,8 +271,12 @@ def project_kernel(
         while pixel < pixels and edges.slant[line, pixel] < float(far):
             begin = edges.slant[line, pixel]
             end = edges.slant[line, pixel + 1]
-            piece, m = cut(strip, n, 1, wp.float64(begin), wp.float64(1.0))
-            piece, m = cut(piece, m, 1, wp.float64(end), wp.float64(-1.0))
+            piece = strip
+            m = n
+            if near < wp.float64(begin):
+                piece, m = cut(piece, m, 1, wp.float64(begin), wp.float64(1.0))
+            if far > wp.float64(end):
+                piece, m = cut(piece, m, 1, wp.float64(end), wp.float64(-1.0))
             if m > 2:
                 found = area_and_middle(piece, m)
                 cell = float(wp.abs(found[0]))

@@ -15,6 +15,7 @@ from warpsar.kernels.terrain import (
     PixelEdges,
     PixelSums,
     PostPlaces,
+    hiding_kernel,
     map_kernel,
     place_kernel,
     project_kernel,
@@ -82,7 +83,6 @@ class BlockProjection:
         self._ground = ground
         points: wp.array = wp.array(ground.point_m, dtype=wp.vec3, device=device)
         corners: wp.array = wp.array(ground.facets.ravel(), dtype=int, device=device)
-        self._tree = wp.Mesh(points, corners)
         self._facets = fill(
             GroundFacets,
             points=points,
@@ -95,6 +95,7 @@ class BlockProjection:
             ground=ground.ground_facets,
             forward=ground.forward,
         )
+        self._tree = wp.Mesh(points, self._hiding(corners))
         self._edges = fill(PixelEdges, slant=wp.array(edges, dtype=float, device=device))
         self._backscatter = fill(
             Backscatter,
@@ -105,6 +106,21 @@ class BlockProjection:
         extent = np.ptp(ground.point_m, axis=0)
         self._reach_m = float(np.linalg.norm(extent)) + 1.0
         self._clear_m = max(CLEAR_SHARE * spacing_m, LEAST_CLEAR_M)
+
+    def _hiding(self, corners: wp.array) -> wp.array:
+        """Corners of the facets that may hide others from the radar: some in a hundred of most terrain.
+
+        A ray can come below the ground through a hole in it; then all may be met.
+        """
+        ground = self._ground
+        if (ground.cell < 0).any():
+            return corners
+        hides = wp.zeros(len(ground.facets), dtype=wp.uint8, device=self.device)
+        wp.launch(hiding_kernel, dim=len(hides), inputs=[self._facets], outputs=[hides], device=self.device)
+        chosen = np.flatnonzero(hides.numpy())
+        kept = ground.facets[chosen if chosen.size else [0]]  # a tree must have one
+        found: wp.array = wp.array(kept.ravel(), dtype=int, device=self.device)
+        return found
 
     def pixels(self) -> BlockPixels:
         """Facets into pixels."""
