@@ -119,11 +119,9 @@ def _by_grid(path: Path, crs: Any, name: str) -> tuple[str, Callable[[F64, F64, 
 
 @dataclass(frozen=True)
 class PostWindow:
-    """Rows and columns from `row` and `column` on: longitude, latitude [deg] and ellipsoidal height [m], (rows,
-    columns) each; height is NaN where there is no data."""
+    """Longitude, latitude [deg] and ellipsoidal height [m], (rows, columns) each; height is NaN where there is no
+    data."""
 
-    row: int
-    column: int
     longitude: F64
     latitude: F64
     height: F64
@@ -197,7 +195,7 @@ class Elevation:
         with geotiff.opened(self.path) as source:
             height = _heights(source, *rows, *columns)
         placed = _placed(self.affine, self.datum, np.arange(*rows), np.arange(*columns), height)
-        return PostWindow(rows[0], columns[0], *placed)
+        return PostWindow(*placed)
 
     def posts_at(self, longitude: F64, latitude: F64) -> tuple[F64, F64]:
         """Rows and columns of places [deg]; whole numbers are posts."""

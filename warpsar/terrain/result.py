@@ -181,36 +181,26 @@ class _Canvas:
         spacing = min(self.elevation.spacing_m)
         projection = BlockProjection(ground, edges, scenery.sigma0, spacing, device)
         found = self._fill_image(block, projection.pixels(), edges)
-        rows, columns = (
-            first - 0.5 + (np.arange((last - first) * self.fine) + 0.5) / self.fine
-            for first, last in (block.rows, block.columns)
-        )
-        facet, weights, which = ground.cells(rows, columns)
-        if not facet.size:
-            return
-        cells = projection.cells(facet, weights)
-        inside = np.isfinite(cells.line)
-        row, column = np.unravel_index(which[inside], (rows.size, columns.size))
-        row = row + (block.rows[0] - self.rows[0]) * self.fine
-        column = column + (block.columns[0] - self.columns[0]) * self.fine
-        line, pixel = cells.line[inside], cells.pixel[inside]
-        at = (
-            np.clip(np.floor(line + 0.5).astype(int), 0, block.window.shape[0] - 1),
-            np.clip(np.floor(pixel + 0.5).astype(int), 0, block.window.shape[1] - 1),
-        )
-        lit = cells.lit[inside]
-        made = {name: found[name][at] for name in self.map if name in found}
-        made |= {
+        cells = projection.cells(self.fine)
+        inside = cells.pixel >= 0
+        at, lit = cells.pixel[inside], cells.lit[inside] > 0
+        over = (cells.folded[inside] > 0) | (found["layover"].ravel()[at] >= 0.5)
+        made = {
             "incidence": cells.incidence[inside],
             "shadow": np.where(lit, 0.0, 1.0),
-            "layover": np.where(lit & (cells.folded[inside] | (found["layover"][at] >= 0.5)), 1.0, 0.0),
-            "line": line + block.window.lines[0],
-            "pixel": pixel + block.window.pixels[0],
+            "layover": np.where(lit & over, 1.0, 0.0),
+            "line": cells.line_at[inside] + block.window.lines[0],
+            "pixel": cells.pixel_at[inside] + block.window.pixels[0],
         }
+        for name in self.map.keys() & found.keys() - made.keys():
+            made[name] = found[name].ravel()[at]
+            made[name][~lit] = np.nan  # such a pixel shows other ground
+        rows, columns = (
+            slice((of[0] - whole[0]) * self.fine, (of[1] - whole[0]) * self.fine)
+            for of, whole in ((block.rows, self.rows), (block.columns, self.columns))
+        )
         for name, values in made.items():
-            if name not in ("incidence", "shadow", "layover", "line", "pixel"):
-                values = np.where(lit, values, np.nan)  # such a pixel shows other ground
-            self.map[name][row, column] = values
+            self.map[name][rows, columns][inside] = values
 
     def _fill_image(self, block: ImageBlock, found: BlockPixels, edges: F64) -> dict[str, np.ndarray]:
         """The block's part of each layer."""
