@@ -134,14 +134,18 @@ def write_cog(
             room = {"driver": "GTiff", "tiled": True, "interleave": "band", "bigtiff": "YES", **profile}
         else:
             room = {"driver": "MEM", **profile}
+        threads = str(thread_count())
         try:
-            with rasterio.Env(), rasterio.open(scratch if large else "", "w+", **room) as source:
+            with (
+                rasterio.Env(GDAL_NUM_THREADS=threads),  # of overviews
+                rasterio.open(scratch if large else "", "w+", **room) as source,
+            ):
                 source.update_tags(**{k: json.dumps(v) if isinstance(v, list) else str(v) for k, v in tags.items()})
                 source.descriptions = tuple(bands)
                 for number, band in enumerate(bands.values(), start=1):
                     source.write(np.asarray(band, kind), number)
                 source.build_overviews(_halvings(first.shape), Resampling.average)
-                rasterio.shutil.copy(source, temporary, driver="COG", **COG, NUM_THREADS=str(thread_count()))
+                rasterio.shutil.copy(source, temporary, driver="COG", **COG, NUM_THREADS=threads)
         except RasterioError as error:
             raise OSError(f"{path}: cannot be written ({error})") from error
 

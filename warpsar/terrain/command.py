@@ -7,10 +7,9 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from io import BytesIO
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -33,9 +32,6 @@ from warpsar.terrain.result import SimulatedProduct, simulated
 from warpsar.terrain.scenery import POLARIZATIONS, Scenery, surface_sigma0
 from warpsar.terrain.summary import TwinSummary, summary
 from warpsar.world.library.surfaces import SURFACES
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 SURFACE = "grass"
 LANDCOVER_TABLE = "worldcover"
@@ -196,7 +192,7 @@ def run(
         },
     }
     content = write_json(out / "twin.json", None, where, None, started, content)
-    write_report(out / "report.html", said, against, differs, drawn, content, command)
+    write_report(out / "report.html", said, against, differs, {name: out / name for name in drawn}, content, command)
     console.say_written(out, "report.html", "twin.json", *written)
     print("\n".join([*said.words, *words_of(against), *words_of(differs)]))
     return content
@@ -235,13 +231,13 @@ def write_report(
     said: TwinSummary,
     against: TerrainComparison | str | None,
     differs: TerrainDifferences | str | None,
-    drawn: Mapping[str, Figure],
+    drawn: Mapping[str, Path],
     content: dict[str, Any],
     command: Sequence[str],
 ) -> None:
-    """`content` is that of twin.json, `command` the words that made it."""
+    """`drawn` are files of pictures, `content` is that of twin.json, `command` the words that made it."""
     lead = f"warpsar twin {content['version']}; {content['product']}, {content['acquired'][:19]} UTC"
-    pictures = {name: report.picture(_png(figure), CAPTIONS[name]) for name, figure in drawn.items()}
+    pictures = {name: report.picture(file.read_bytes(), CAPTIONS[name]) for name, file in drawn.items()}
     compared = [report.paragraph(_sentence(each)) for each in words_of(against)]
     if against is not None:
         compared += [pictures.pop("comparison.png")] if "comparison.png" in pictures else []
@@ -292,9 +288,3 @@ def _sentence(words: str) -> str:
 
 def _beside(content: dict[str, Any]) -> str:
     return ", ".join(["twin.json", *(name for name in content["files"] if name != "report.html")])
-
-
-def _png(figure: Figure) -> bytes:
-    stream = BytesIO()
-    figure.savefig(stream, format="png", dpi=110)
-    return stream.getvalue()
