@@ -19,7 +19,7 @@ from warpsar.io import figures
 from warpsar.io import html as report
 from warpsar.products.product import RADIOMETRIES, Product, Radiometry
 from warpsar.runtime import console, devices
-from warpsar.simulation.outputs import make_folder, write_json
+from warpsar.simulation.outputs import make_folder, refuse_unwritable, write_json
 from warpsar.terrain import files
 from warpsar.terrain.blocks import Box, places_in, places_on
 from warpsar.terrain.buildings import placed
@@ -109,12 +109,14 @@ def _refuse(surface: str, crop: Box | None, radiometry: str | None, polarization
 
 
 def _opened(path: Path, polarization: str | None, file_format: str) -> Product:
-    found = registry.products(path, file_format=file_format, polarization=polarization)
+    found = registry.products(path, file_format=file_format, polarization=polarization, option="--product-format")
     if len(found) > 1:
-        names = ", ".join(Path(one.source).name for one in found)
-        kinds = sorted({one.polarization or "unknown" for one in found})
+        names = list(dict.fromkeys(Path(one.source).name for one in found))
+        kinds = ", ".join(sorted({one.polarization or "unknown" for one in found}))
+        if len(names) == 1:
+            raise InputError(f"{path}: found images of the polarizations {kinds}; state one by --polarization")
         raise InputError(
-            f"{path}: found {len(found)} images ({names}; polarizations {', '.join(kinds)}); name one annotation file, "
+            f"{path}: found {len(found)} images ({', '.join(names)}; polarizations {kinds}); name one annotation file, "
             "or --polarization"
         )
     return found[0]
@@ -143,8 +145,11 @@ def run(
     for one in formats:
         if one in files.EXTRAS:
             files.EXTRAS[one].require(f"--format {one}:")
+    if landcover is None and landcover_table != LANDCOVER_TABLE:
+        raise InputError(f"--landcover-table: found {landcover_table!r} without --landcover; state that, too")
     where = devices.resolve_device(device)
     console.say_device(where)
+    refuse_unwritable(out)
     found = twin(
         product,
         dem,
