@@ -11,7 +11,7 @@ import tomlkit
 
 from warpsar.diagnosis.found import Diagnosis
 from warpsar.learning.identify import Identified
-from warpsar.surface.surface import KINDS
+from warpsar.surface.surface import kinds_of
 
 SD_KEYS = {"position_m": "position_sd_m", "heading_deg": "heading_sd_deg", "size_m": "size_sd_m"}
 """Keys of an object's table, and where diagnosis.json has their standard deviations."""
@@ -24,12 +24,16 @@ def own_materials(found: Diagnosis, identified: Identified) -> dict[str, dict[st
     """
     sds = dict(zip(identified.labels, identified.sd.tolist(), strict=True))
     content: dict[str, dict[str, dict[str, float]]] = {}
+    parameters = found.final.scene.parameters
     for name, material in found.final.scene.materials.items():
         if name in found.scene.materials:
             continue
         content[name] = {
-            kind.key: {"after": float(getattr(material, kind.key)), "after_sd_log": sds[f"{name}.{kind.key}"]}
-            for kind in KINDS
+            kind.key: {
+                "after": float(parameters[f"materials.{name}.{kind.key}"].value),
+                "after_sd_log": sds[f"{name}.{kind.key}"],
+            }
+            for kind in kinds_of(material.model)
             if f"{name}.{kind.key}" in sds
         }
     return content

@@ -83,7 +83,8 @@ def content_of(found: HeldOut) -> dict[str, Any]:
         },
         "effects": dict(without_aims(found.final).effects),
         "materials": {
-            name: one.model_dump(exclude_unset=True, mode="json") for name, one in found.final.materials.items()
+            name: one.model_dump(exclude_unset=True, mode="json", warnings=False)
+            for name, one in found.final.materials.items()
         },
     }
 

@@ -165,7 +165,9 @@ def content(declared: Scene, scene: Scene) -> dict[str, Any] | None:
         "sensor": sensor_content(scene),
         "objects": [_plain(one) for one in scene.objects],
         "removed": _removed(scene),
-        "materials": {name: table.model_dump(mode="json", exclude_unset=True) for name, table in new.items()},
+        "materials": {
+            name: table.model_dump(mode="json", exclude_unset=True, warnings=False) for name, table in new.items()
+        },
     }
 
 
