@@ -14,6 +14,8 @@ THIN = wp.constant(wp.float64(1.0e-3))
 """Least width of a facet in the image, in pixels: one that is seen edge on has no area to share out."""
 GRAZING = wp.constant(1.0e-4)
 """Cosine of incidence below which a facet counts as turned away."""
+EDGE_ON = wp.constant(0.01)
+"""Cosine of incidence below which a facet may hide others: `GRAZING`, with room for directions of other facets."""
 FULL_TURN = wp.constant(1.5707963267948966)
 
 
@@ -183,6 +185,29 @@ def in_image(facets: GroundFacets, i: int, j: int, k: int, pixel_m: wp.float64) 
     return shape
 
 
+@wp.kernel(enable_backward=False)
+def hiding_kernel(
+    # In:
+    facets: GroundFacets,
+    # Out:
+    hides_out: wp.array(dtype=wp.uint8),
+):
+    """Which triangles can be the first that a ray to the radar meets.
+
+    A ray that starts above the ground goes into it through a facet that is turned away from the radar: where it goes,
+    it meets the others from below. A ray may start inside a building, and then leaves it: all of its facets count.
+    """
+    f = wp.tid()
+    i = facets.corners[3 * f]
+    j = facets.corners[3 * f + 1]
+    k = facets.corners[3 * f + 2]
+    a = facets.points[i]
+    normal = wp.normalize(wp.cross(facets.points[j] - a, facets.points[k] - a))
+    look = wp.normalize(facets.look[i] + facets.look[j] + facets.look[k])
+    if f >= facets.ground or wp.dot(normal, look) < EDGE_ON:
+        hides_out[f] = wp.uint8(1)
+
+
 @wp.func
 def sees_radar(tree: wp.uint64, point: wp.vec3, look: wp.vec3, clear_m: float, reach_m: float) -> bool:
     return not wp.mesh_query_ray_anyhit(tree, point + clear_m * look, look, reach_m)
@@ -229,8 +254,12 @@ def project_kernel(
     folded = image * facets.forward < wp.float64(0.0)
     density = facet_m2 / float(wp.abs(image))  # [m2] of ground for an area of one line by one metre
     for line in range(first, last + 1):
-        strip, n = cut(whole, 3, 0, wp.float64(line) - half, wp.float64(1.0))
-        strip, n = cut(strip, n, 0, wp.float64(line) + half, wp.float64(-1.0))
+        strip = whole  # a cut that leaves all there costs as much as one that does not
+        n = int(3)
+        if low < wp.float64(line) - half:
+            strip, n = cut(strip, n, 0, wp.float64(line) - half, wp.float64(1.0))
+        if high > wp.float64(line) + half:
+            strip, n = cut(strip, n, 0, wp.float64(line) + half, wp.float64(-1.0))
         if n < 3:
             continue
         near = strip[0, 1]
@@ -242,8 +271,12 @@ def project_kernel(
         while pixel < pixels and edges.slant[line, pixel] < float(far):
             begin = edges.slant[line, pixel]
             end = edges.slant[line, pixel + 1]
-            piece, m = cut(strip, n, 1, wp.float64(begin), wp.float64(1.0))
-            piece, m = cut(piece, m, 1, wp.float64(end), wp.float64(-1.0))
+            piece = strip
+            m = n
+            if near < wp.float64(begin):
+                piece, m = cut(piece, m, 1, wp.float64(begin), wp.float64(1.0))
+            if far > wp.float64(end):
+                piece, m = cut(piece, m, 1, wp.float64(end), wp.float64(-1.0))
             if m > 2:
                 found = area_and_middle(piece, m)
                 cell = float(wp.abs(found[0]))
@@ -334,65 +367,109 @@ def place_kernel(
 
 
 @wp.struct
-class MapCells:
-    """Middles of cells of the map, (n,) each: the facet that they lie on, and barycentric weights of corners 1, 2."""
+class MapGrid:
+    """Cells of the map: those of the elevation model, `fine` by `fine` of them about each post.
 
-    facet: wp.array(dtype=int)
-    weights: wp.array(dtype=wp.vec2)
+    `facet`, (rows - 1, columns - 1): the first of two triangles between four posts, the one at the first row and
+    column; -1 for none. `turned`: whether the order of their corners is turned over; `backwards`: whether pixels are
+    counted from the far end of `PixelEdges`.
+    """
+
+    facet: wp.array2d(dtype=int)
+    fine: int
+    turned: int
+    backwards: int
+
+
+@wp.struct
+class CellPlaces:
+    """Of each cell, (rows, columns); but for `pixel` nothing is said of one that does not lie in the block."""
+
+    pixel: wp.array2d(dtype=int)  # the one that shows it: line times pixels in a line, plus pixel; -1: none
+    line_at: wp.array2d(dtype=wp.float64)  # fractional
+    pixel_at: wp.array2d(dtype=wp.float64)
+    incidence: wp.array2d(dtype=float)  # [deg]
+    lit: wp.array2d(dtype=wp.uint8)
+    folded: wp.array2d(dtype=wp.uint8)  # its facet lies over others
+
+
+@wp.func
+def between_posts(at: int, fine: int) -> wp.float64:
+    """Where a cell's middle lies, in posts from the first one."""
+    return (wp.float64(at) + wp.float64(0.5)) / wp.float64(fine) - wp.float64(0.5)
 
 
 @wp.kernel(enable_backward=False)
 def map_kernel(
     # In:
-    cells: MapCells,
+    grid: MapGrid,
     facets: GroundFacets,
     edges: PixelEdges,
     tree: wp.uint64,
     clear_m: float,
     reach_m: float,
     # Out:
-    line_out: wp.array(dtype=wp.float64),
-    pixel_out: wp.array(dtype=wp.float64),
-    incidence_out: wp.array(dtype=float),
-    lit_out: wp.array(dtype=int),
-    folded_out: wp.array(dtype=int),
+    cells: CellPlaces,
 ):
-    """Of each cell: its place in the block (-1 where that is outside), local incidence [deg], whether it is lit, and
-    whether its facet lies over others."""
-    n = wp.tid()
-    f = cells.facet[n]
+    row, column = wp.tid()
+    cells.pixel[row, column] = -1
+    down = between_posts(row, grid.fine)
+    along = between_posts(column, grid.fine)
+    top = int(wp.floor(down))
+    left = int(wp.floor(along))
+    if top < 0 or top >= grid.facet.shape[0] or left < 0 or left >= grid.facet.shape[1]:
+        return
+    f = grid.facet[top, left]
+    if f < 0:
+        return
+    one = wp.float64(1.0)
+    down -= wp.float64(top)
+    along -= wp.float64(left)
+    second = down  # weights of the triangle's corners
+    third = along
+    if down + along > one:
+        f += 1
+        second = one - along
+        third = down + along - one
+    if grid.turned > 0:
+        third = one - second - third
+    v = float(second)
+    w = float(third)
     i = facets.corners[3 * f]
     j = facets.corners[3 * f + 1]
     k = facets.corners[3 * f + 2]
-    v = float(cells.weights[n][0])
-    w = float(cells.weights[n][1])
     u = 1.0 - v - w
     line = wp.float64(u) * facets.line[i] + wp.float64(v) * facets.line[j] + wp.float64(w) * facets.line[k]
     slant = wp.float64(u) * facets.slant[i] + wp.float64(v) * facets.slant[j] + wp.float64(w) * facets.slant[k]
-    line_out[n] = line
-    pixel_out[n] = wp.float64(-1.0)
-    row = int(wp.floor(line + wp.float64(0.5)))
-    if row < 0 or row >= edges.slant.shape[0]:
+    lines = edges.slant.shape[0]
+    pixels = edges.slant.shape[1] - 1
+    nearest = int(wp.floor(line + wp.float64(0.5)))
+    if nearest < 0 or nearest >= lines:
         return
-    pixel = pixel_at(edges, row, float(slant))
-    if pixel < 0 or pixel >= edges.slant.shape[1] - 1:
+    pixel = pixel_at(edges, nearest, float(slant))
+    if pixel < 0 or pixel >= pixels:
         return
-    begin = wp.float64(edges.slant[row, pixel])
-    end = wp.float64(edges.slant[row, pixel + 1])
-    pixel_out[n] = wp.float64(pixel) - wp.float64(0.5) + (slant - begin) / (end - begin)
+    begin = wp.float64(edges.slant[nearest, pixel])
+    end = wp.float64(edges.slant[nearest, pixel + 1])
+    at = wp.float64(pixel) - wp.float64(0.5) + (slant - begin) / (end - begin)
+    if grid.backwards > 0:
+        at = wp.float64(pixels - 1) - at
+    cells.pixel[row, column] = nearest * pixels + wp.clamp(int(wp.floor(at + wp.float64(0.5))), 0, pixels - 1)
+    cells.line_at[row, column] = line
+    cells.pixel_at[row, column] = at
     a = facets.points[i]
     b = facets.points[j]
     c = facets.points[k]
     normal = wp.normalize(wp.cross(b - a, c - a))
     look = wp.normalize(u * facets.look[i] + v * facets.look[j] + w * facets.look[k])
     cosine = wp.dot(normal, look)
-    incidence_out[n] = wp.degrees(wp.acos(wp.clamp(cosine, -1.0, 1.0)))
-    lit_out[n] = 0
+    cells.incidence[row, column] = wp.degrees(wp.acos(wp.clamp(cosine, -1.0, 1.0)))
+    cells.lit[row, column] = wp.uint8(0)
     if cosine > GRAZING:
         if sees_radar(tree, u * a + v * b + w * c, look, clear_m, reach_m):
-            lit_out[n] = 1
+            cells.lit[row, column] = wp.uint8(1)
     ab = (facets.line[j] - facets.line[i]) * (facets.slant[k] - facets.slant[i])
     ac = (facets.line[k] - facets.line[i]) * (facets.slant[j] - facets.slant[i])
-    folded_out[n] = 0
+    cells.folded[row, column] = wp.uint8(0)
     if (ab - ac) * facets.forward < wp.float64(0.0):
-        folded_out[n] = 1
+        cells.folded[row, column] = wp.uint8(1)

@@ -85,6 +85,10 @@ def test_ground_range_is_the_inverse_of_slant_range() -> None:
     np.testing.assert_allclose(table.slant_m(4.0, ground), slant, atol=1e-3)
     np.testing.assert_allclose(table.slant_m(6.0, ground), slant + 10.0, atol=1e-3)  # the nearest in time
     np.testing.assert_allclose(table.ground_m(6.0, table.slant_m(6.0, ground)), ground, atol=1e-5)
+    both = np.array([4.0, 6.0, 4.9])[:, None]  # lines by pixels
+    window = table.slant_m(both, ground[None, :])
+    np.testing.assert_allclose(window, slant + np.array([0.0, 10.0, 0.0])[:, None], atol=1e-3)
+    np.testing.assert_allclose(table.ground_m(both, window), np.broadcast_to(ground, window.shape), atol=1e-5)
 
 
 def test_bursts_have_their_own_times() -> None:

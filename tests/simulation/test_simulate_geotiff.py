@@ -16,6 +16,7 @@ from warpsar import __version__
 from warpsar.cli.main import main
 from warpsar.effects.registry import validate
 from warpsar.errors import InputError
+from warpsar.io import geotiff
 from warpsar.io.geotiff import RasterPlace, write_cog
 from warpsar.io.images import read_channel
 from warpsar.runtime import extra
@@ -135,6 +136,25 @@ def test_is_cloud_optimized(tmp_path: Path) -> None:
     assert directories[-1] < min(map(min, pixels))
     # the coarsest overview's pixels first, as a reader meets them
     assert [min(each) for each in pixels] == sorted((min(each) for each in pixels), reverse=True)
+
+
+def test_a_raster_larger_than_memory_is_the_same_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    image = np.random.default_rng(1).gamma(1.0, size=(1100, 700)).astype(np.float32)
+    write_cog(tmp_path / "memory.tif", {"HH": image, "VV": 2 * image}, {"a": 1})
+    monkeypatch.setattr(geotiff, "IN_MEMORY", 0)
+    write_cog(tmp_path / "file.tif", {"HH": image, "VV": 2 * image}, {"a": 1})
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["file.tif", "memory.tif"]
+    for level in ({}, {"overview_level": 0}, {"overview_level": 1}):
+        found = []
+        for name in ("memory", "file"):
+            with rasterio.open(tmp_path / f"{name}.tif", **level) as source:
+                if not level:
+                    assert source.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
+                    assert source.tags()["a"] == "1"
+                    assert source.descriptions == ("HH", "VV")
+                found.append(source.read())
+        # overviews are means in float32, of pieces that are added in another order
+        np.testing.assert_allclose(*found, rtol=1e-6 if level else 0.0)
 
 
 def ifds(path: Path) -> tuple[list[int], list[list[int]]]:

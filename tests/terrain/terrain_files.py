@@ -20,13 +20,13 @@ NORTH_M = math.radians(1.0) * (6378137.0 * (1.0 - E2) / _W**3 + SITE[2])
 F64 = np.ndarray
 
 
-def dem(folder: Path, heights: F64, *, crs: str = "EPSG:4326", name: str = "dem.tif") -> Path:
-    """Heights over squares of `STEP_M` about the site, north up, in degrees."""
+def dem(folder: Path, heights: F64, *, crs: str = "EPSG:4326", name: str = "dem.tif", step_m: float = STEP_M) -> Path:
+    """Heights over squares of `step_m` about the site, north up, in degrees."""
     import rasterio
     from rasterio.transform import Affine
 
     rows, columns = heights.shape
-    per_lat = STEP_M / 111_150.0
+    per_lat = step_m / 111_150.0
     per_lon = per_lat / np.cos(np.deg2rad(SITE[0]))
     affine = Affine(per_lon, 0.0, SITE[1] - 0.5 * columns * per_lon, 0.0, -per_lat, SITE[0] + 0.5 * rows * per_lat)
     path = folder / name

@@ -105,6 +105,30 @@ def noise_db(safe: Path, window: ImageWindow) -> float:
     return float(10.0 * np.log10(noise * factor / beta**2))
 
 
+@pytest.mark.parametrize("height", [0.0, 3000.0])
+def test_places_are_those_of_isce3s_grid(measured_data: Path, tmp_path: Path, height: float) -> None:
+    """ALOS in NISAR's form: ISCE3's grid over heights says what the first pixel of the first line shows.
+
+    To 0.5 m, or 0.05 pixel of 8.9 m: state vectors are 60 s apart, and both programs interpolate in their own way.
+    """
+    import h5py
+
+    path = measured_data / "alos_polcal" / "calib_RSLC_ALPSRP025826990_RIO_BRANCO_CR.h5"
+    with h5py.File(path) as file:
+        grid = file["science/LSAR/RSLC/metadata/geolocationGrid"]
+        (at,) = np.flatnonzero(grid["heightAboveEllipsoid"][()] == height)
+        longitude, latitude = (float(grid[name][at, 0, 0]) for name in ("coordinateX", "coordinateY"))
+        incidence = float(grid["incidenceAngle"][at, 0, 0])
+    model = patch(tmp_path, {"longitude": longitude, "latitude": latitude, "height": height})
+    found = warpsar.twin(path, model, geoid_offset_m=0.0, polarization="HH", device="cpu")
+    assert (found.window.lines[0], found.window.pixels[0]) == (0, 0)
+    shown = np.array([found.image[name][0, 0] for name in ("latitude", "longitude", "height")])
+    expected = np.array([latitude, longitude, height])
+    assert np.linalg.norm(geodetic_to_ecef(shown) - geodetic_to_ecef(expected)) < 0.5
+    # ISCE3 takes the angle to the satellite from the ellipsoid's normal; float32 in the file
+    assert found.image["ellipsoid_incidence"][0, 0] == pytest.approx(incidence, abs=0.02)
+
+
 def test_rome(measured_data: Path) -> None:
     """Hills of 100 m at 44 degrees: no layover, no shadow; lit areas seen from the radar add up to level ground's."""
     safe, dem = rome(measured_data)

@@ -38,8 +38,11 @@ def _regular(path: Path) -> None:
         raise InputError(f"{path}: cannot be read (a directory, pipe or device); must be a file")
 
 
-def detect(path: Path, allowed: Sequence[str] | None = None) -> str:
-    """The name of a file's format; raises InputError, which lists those `allowed`, for a file that has none of them."""
+def detect(path: Path, allowed: Sequence[str] | None = None, option: str = "--format") -> str:
+    """The name of a file's format; raises InputError for a file that has none.
+
+    It lists those `allowed`, and the `option` that states one.
+    """
     _regular(path)
     try:
         with path.open("rb") as file:
@@ -51,7 +54,7 @@ def detect(path: Path, allowed: Sequence[str] | None = None) -> str:
             return one.name
     raise InputError(
         f"{path}: neither its first bytes nor its suffix name a known format; "
-        f"choose one with --format: {', '.join(allowed or names())}"
+        f"choose one with {option}: {', '.join(allowed or names())}"
     )
 
 
@@ -113,10 +116,13 @@ def _of_folder(path: Path) -> str:
     )
 
 
-def products(source: str | Path, *, file_format: str = "auto", polarization: str | None = None) -> tuple[Product, ...]:
+def products(
+    source: str | Path, *, file_format: str = "auto", polarization: str | None = None, option: str = "--format"
+) -> tuple[Product, ...]:
     """The images of the earth with an orbit that a file holds, or a folder such as a SAFE one.
 
-    `polarization` chooses; without it all are given. Raises InputError, one message that names the file.
+    `polarization` chooses; without it all are given. Raises InputError, one message that names the file, and the
+    command line's `option` for `file_format` where that must be said.
     """
     path = Path(source)
     name = file_format
@@ -125,7 +131,7 @@ def products(source: str | Path, *, file_format: str = "auto", polarization: str
     elif file_format == "auto" and zipfile.is_zipfile(path):
         raise InputError(f"{path}: found a zip archive; unpack it, and name the folder or file inside")
     elif file_format == "auto":
-        name = detect(path, _with_products())
+        name = detect(path, _with_products(), option)
     if name not in names():
         raise InputError(f"format {name!r}: not known; use one of auto, {', '.join(names())}")
     one = get(name)

@@ -269,11 +269,13 @@ class _Annotation:
             blocks.append((box, _numbers(path, one, "line"), _numbers(path, one, "noiseAzimuthLut")))
 
         def power(line: ArrayLike, pixel: ArrayLike) -> F64:
-            line, pixel = np.broadcast_arrays(np.asarray(line, np.float64), np.asarray(pixel, np.float64))
-            found = table.at(line, pixel)
+            line, pixel = np.asarray(line, np.float64), np.asarray(pixel, np.float64)
+            found = np.asarray(table.at(line, pixel))
             for (first, last, left, right), lines, factors in blocks:
-                inside = (line >= first - 0.5) & (line <= last + 0.5) & (pixel >= left - 0.5) & (pixel <= right + 0.5)
-                found = np.where(inside, found * np.interp(line, lines, factors), found)
+                down = (line >= first - 0.5) & (line <= last + 0.5)
+                along = (pixel >= left - 0.5) & (pixel <= right + 0.5)
+                if down.any() and along.any():
+                    np.multiply(found, np.interp(line, lines, factors), out=found, where=down & along)
             return found
 
         return power
@@ -305,7 +307,7 @@ class _Annotation:
 
 
 def _inverse_square(table: LineTable) -> Callable[[ArrayLike, ArrayLike], F64]:
-    return lambda line, pixel: table.at(line, pixel) ** -2.0
+    return lambda line, pixel: 1.0 / np.square(table.at(line, pixel))
 
 
 def _parse(path: Path, root: str) -> ElementTree.Element:

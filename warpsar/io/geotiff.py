@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
+from uuid import uuid4
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,19 @@ from numpy.typing import NDArray
 from warpsar.errors import InputError
 from warpsar.io import tiff
 from warpsar.io.images import replacing
+from warpsar.runtime.threads import thread_count
+
+TILE = 512
+COG = {
+    "BLOCKSIZE": str(TILE),
+    "COMPRESS": "DEFLATE",
+    "LEVEL": "1",  # a file of layers grows by 4 % from that of level 6, in half the time
+    "PREDICTOR": "YES",
+    "BIGTIFF": "IF_SAFER",
+}
+"""Of GDAL's driver."""
+IN_MEMORY = 2**30
+"""Bytes of a raster that is put together in memory."""
 
 
 @dataclass(frozen=True)
@@ -92,34 +106,61 @@ def write_cog(
 ) -> None:
     """A cloud-optimized GeoTIFF of bands of one shape, named by their descriptions; whole or not at all.
 
-    Tiles, overviews (means) and directories in the order of the format's standard are GDAL's COG driver's. `tags` are
-    texts, numbers, or lists of them, which become JSON. NaN is no data. Without `place` the image lies nowhere.
+    Tiles and directories in the order of the format's standard are GDAL's COG driver's. `tags` are texts, numbers, or
+    lists of them, which become JSON. NaN is no data. Without `place` the image lies nowhere.
+
+    Overviews are means, made before the copy: the driver itself would pack, unpack and pack again what it makes. Bands
+    of more than `IN_MEMORY` are first written to a file beside `path`.
     """
     first = next(iter(bands.values()))
     profile: dict[str, Any] = {
-        "driver": "COG",
         "count": len(bands),
         "height": first.shape[0],
         "width": first.shape[1],
         "dtype": kind,
         "nodata": float("nan"),
-        "compress": "DEFLATE",
-        "predictor": "YES",
-        "overview_resampling": "AVERAGE",
-        "bigtiff": "IF_SAFER",
     }
-    with replacing(path) as temporary, warnings.catch_warnings():
+    if place is not None:
+        profile |= {"crs": place.crs, "transform": place.affine}
+    large = len(bands) * first.size * np.dtype(kind).itemsize > IN_MEMORY
+    with replacing(path) as temporary, _scratch(path) as scratch, warnings.catch_warnings():
         import rasterio
+        import rasterio.shutil
+        from rasterio.enums import Resampling
         from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
-        if place is not None:
-            profile |= {"crs": place.crs, "transform": place.affine}
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        if large:
+            room = {"driver": "GTiff", "tiled": True, "interleave": "band", "bigtiff": "YES", **profile}
+        else:
+            room = {"driver": "MEM", **profile}
+        threads = str(thread_count())
         try:
-            with rasterio.Env(), rasterio.open(temporary, "w", **profile) as target:
-                target.update_tags(**{k: json.dumps(v) if isinstance(v, list) else str(v) for k, v in tags.items()})
-                target.descriptions = tuple(bands)
+            with (
+                rasterio.Env(GDAL_NUM_THREADS=threads),  # of overviews
+                rasterio.open(scratch if large else "", "w+", **room) as source,
+            ):
+                source.update_tags(**{k: json.dumps(v) if isinstance(v, list) else str(v) for k, v in tags.items()})
+                source.descriptions = tuple(bands)
                 for number, band in enumerate(bands.values(), start=1):
-                    target.write(np.asarray(band, kind), number)
+                    source.write(np.asarray(band, kind), number)
+                source.build_overviews(_halvings(first.shape), Resampling.average)
+                rasterio.shutil.copy(source, temporary, driver="COG", **COG, NUM_THREADS=threads)
         except RasterioError as error:
             raise OSError(f"{path}: cannot be written ({error})") from error
+
+
+@contextmanager
+def _scratch(path: Path) -> Iterator[Path]:
+    """A file name beside `path`; what is written there does not stay."""
+    made = path.with_name(f".{uuid4().hex}{path.suffix}")
+    try:
+        yield made
+    finally:
+        made.unlink(missing_ok=True)
+
+
+def _halvings(shape: tuple[int, ...]) -> list[int]:
+    """Factors of overviews, until one fits into a tile."""
+    factors = [2**k for k in range(1, 32)]
+    return [each for each in factors if 2 * max(shape) > TILE * each]

@@ -55,7 +55,18 @@ class GroundRange:
     def _nearest(self, coefficients: F64, origin: F64, time_s: ArrayLike, at_m: ArrayLike) -> F64:
         time, at = np.asarray(time_s, np.float64), np.asarray(at_m, np.float64)
         which = np.abs(time[..., None] - self.time_s).argmin(axis=-1)  # before they are broadcast: lines are few
-        total = np.zeros(np.broadcast(time, at).shape)
-        for k in range(coefficients.shape[-1] - 1, -1, -1):  # Horner's scheme
-            total = total * (at - origin[which]) + coefficients[which, k]
-        return total
+        shape = np.broadcast(time, at).shape
+        if max(time.size, at.size) < np.prod(shape):  # lines by pixels: a polynomial once for all of its lines
+            total = np.empty(shape)
+            for one in np.unique(which).tolist():
+                np.copyto(total, _horner(coefficients[one], at - origin[one]), where=which == one)
+            return total
+        return _horner(np.moveaxis(coefficients[which], -1, 0), at - origin[which])
+
+
+def _horner(powers: F64, at: F64) -> F64:
+    """The polynomial whose coefficients of rising powers are the rows of `powers`."""
+    total = np.zeros(np.broadcast(powers[0], at).shape)
+    for each in powers[::-1]:
+        total = total * at + each
+    return total

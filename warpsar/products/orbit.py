@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -49,21 +51,41 @@ class Orbit:
     def at(self, time_s: ArrayLike) -> tuple[F64, F64]:
         """Position [m] and velocity [m/s], (..., 3) each, at times (...) [s]; beyond both ends by the outer pieces."""
         time = np.asarray(time_s, np.float64)
-        position, velocity = np.empty((*time.shape, 3)), np.empty((*time.shape, 3))
+        flat = time.ravel()
+        place, speed = np.empty((3, flat.size)), np.empty((3, flat.size))  # a coordinate a row: long loops are fast
+        for start, inside in self._pieces_of(flat):
+            middle, powers = self._piece(start, min(NODES, self.time_s.size))
+            after = flat[inside] - middle
+            for axis in range(3):
+                at, slope = np.zeros(after.shape), np.zeros(after.shape)
+                for k in range(len(powers) - 1, 0, -1):  # Horner's scheme, of the polynomial and of its derivative
+                    at *= after
+                    at += powers[k, axis]
+                    slope *= after
+                    slope += k * powers[k, axis]
+                at *= after
+                at += powers[0, axis]
+                place[axis, inside], speed[axis, inside] = at, slope
+        return place.T.reshape(*time.shape, 3), speed.T.reshape(*time.shape, 3)
+
+    def _pieces_of(self, time: F64) -> Iterator[tuple[int, Any]]:
+        """The first node of each piece that times (n,) lie in, and which of the times these are."""
         count = self.time_s.size
         nodes = min(NODES, count)
-        interval = np.clip(np.searchsorted(self.time_s, time) - 1, 0, count - 2)
-        first = np.clip(interval - nodes // 2 + 1, 0, count - nodes)
-        for start in np.unique(first).tolist():
-            inside = first == start
-            middle, powers = self._piece(start, nodes)
-            after = (time[inside] - middle)[..., None]
-            place, speed = np.zeros((*after.shape[:-1], 3)), np.zeros((*after.shape[:-1], 3))
-            for k in range(len(powers) - 1, 0, -1):  # Horner's scheme, of the polynomial and of its derivative
-                place = place * after + powers[k]
-                speed = speed * after + k * powers[k]
-            position[inside], velocity[inside] = place * after + powers[0], speed
-        return position, velocity
+
+        def first(at: ArrayLike) -> NDArray[np.int64]:
+            interval = np.clip(np.searchsorted(self.time_s, at) - 1, 0, count - 2)
+            return np.clip(interval - nodes // 2 + 1, 0, count - nodes)
+
+        if not time.size:
+            return
+        ends = first([np.fmin.reduce(time), np.fmax.reduce(time)])  # NaN stays NaN in any piece
+        if ends[0] == ends[1]:  # an image of seconds has one or two pieces
+            yield int(ends[0]), slice(None)
+            return
+        of = first(time)
+        for start in np.unique(of).tolist():
+            yield start, of == start
 
     def _piece(self, start: int, nodes: int) -> tuple[float, F64]:
         """The time of a piece's middle [s], and the coefficients (2 nodes, 3) of rising powers of the time from there.

@@ -109,6 +109,9 @@ class Product:
         for name, value in above_zero.items():
             if value is not None and not 0.0 < value < np.inf:
                 raise InputError(f"{self.source}: {name}: found {value:g}; must be a number above 0")
+        for name, count in (("lines", self.grid.lines), ("pixels in a line", self.grid.pixels)):
+            if count < 1:
+                raise InputError(f"{self.source}: number of {name}: found {count}; must be 1 or more")
         for axis, alpha in zip(("range", "azimuth"), self.hamming, strict=True):
             if not 0.5 <= alpha <= 1.0:
                 raise InputError(f"{self.source}: window in {axis}: found the coefficient {alpha:g}; must be 0.5 to 1")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import tempfile
 import time
 from pathlib import Path
@@ -36,6 +37,16 @@ def make_folder(out: Path) -> None:
             f"--out: found {out}; nothing can be written there ({error.strerror}); allowed is a folder, there or new, "
             f"that can be written to"
         ) from error
+
+
+def refuse_unwritable(out: Path) -> None:
+    """Raise InputError where `make_folder` would fail, as far as that is known without a change: before long work."""
+    there = next(each for each in (out, *out.absolute().parents) if each.exists())
+    if not there.is_dir() or not os.access(there, os.W_OK | os.X_OK):
+        raise InputError(
+            f"--out: found {out}; nothing can be written to {there}; allowed is a folder, there or new, that can be "
+            "written to"
+        )
 
 
 def refuse_unlikely_size(scene: Scene, yes: bool) -> None:

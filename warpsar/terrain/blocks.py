@@ -14,6 +14,7 @@ from warpsar.errors import InputError
 from warpsar.products.grid import LineGrid
 from warpsar.products.product import Product
 from warpsar.products.zero_doppler import abeam, locate
+from warpsar.runtime import console
 from warpsar.terrain.elevation import Elevation
 from warpsar.world.earth import geodetic_to_ecef
 
@@ -69,6 +70,7 @@ def window_of(product: Product, ground: Elevation, crop: Box | None) -> ImageWin
 
     Places over the model, at its lowest and its highest height, go through zero Doppler.
     """
+    _refuse_short_orbit(product)
     longitude, latitude = places_on(ground)
     inside = np.ones(longitude.shape, bool)
     if crop is not None:
@@ -82,6 +84,9 @@ def window_of(product: Product, ground: Elevation, crop: Box | None) -> ImageWin
                 f"--crop: found {west:g} {south:g} {east:g} {north:g}; {ground.path} holds none of it (it reaches from "
                 f"{_reach(ground)})"
             )
+        if not over.all():
+            part = f"{ground.path} holds {100.0 * over.mean():.2g} % of it, and reaches from {_reach(ground)}"
+            console.warn([f"--crop: {part}; that part is simulated"])
     places = np.concatenate(
         [
             np.stack([latitude[inside], longitude[inside], np.full(int(inside.sum()), height)], axis=-1)
@@ -104,6 +109,18 @@ def window_of(product: Product, ground: Elevation, crop: Box | None) -> ImageWin
             f"{product.source}: it shows no place of {ground.path} (which reaches from {_reach(ground)}); must overlap"
         )
     return ImageWindow((min(lines), max(lines) + 1), (min(pixels), max(pixels) + 1))
+
+
+def _refuse_short_orbit(product: Product) -> None:
+    """Raise InputError where the state vectors leave out a part of the image."""
+    grid, orbit = product.grid, product.required_orbit
+    ends = np.sort([float(grid.time_s(line, 0.5 * grid.pixels)) for line in (0, grid.lines - 1)])
+    if not orbit.covers(ends, float(np.diff(orbit.time_s).max())):
+        raise InputError(
+            f"{product.source}: found state vectors of the orbit from {product.date(orbit.time_s[0])} to "
+            f"{product.date(orbit.time_s[-1])}; must reach over the image, from {product.date(ends[0])} to "
+            f"{product.date(ends[1])} UTC"
+        )
 
 
 def places_on(ground: Elevation) -> tuple[F64, F64]:

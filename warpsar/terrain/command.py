@@ -7,10 +7,9 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from io import BytesIO
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from warpsar.io import figures
 from warpsar.io import html as report
 from warpsar.products.product import RADIOMETRIES, Product, Radiometry
 from warpsar.runtime import console, devices
-from warpsar.simulation.outputs import make_folder, write_json
+from warpsar.simulation.outputs import make_folder, refuse_unwritable, write_json
 from warpsar.terrain import files
 from warpsar.terrain.blocks import Box, places_in, places_on
 from warpsar.terrain.buildings import placed
@@ -33,9 +32,6 @@ from warpsar.terrain.result import SimulatedProduct, simulated
 from warpsar.terrain.scenery import POLARIZATIONS, Scenery, surface_sigma0
 from warpsar.terrain.summary import TwinSummary, summary
 from warpsar.world.library.surfaces import SURFACES
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 SURFACE = "grass"
 LANDCOVER_TABLE = "worldcover"
@@ -113,12 +109,14 @@ def _refuse(surface: str, crop: Box | None, radiometry: str | None, polarization
 
 
 def _opened(path: Path, polarization: str | None, file_format: str) -> Product:
-    found = registry.products(path, file_format=file_format, polarization=polarization)
+    found = registry.products(path, file_format=file_format, polarization=polarization, option="--product-format")
     if len(found) > 1:
-        names = ", ".join(Path(one.source).name for one in found)
-        kinds = sorted({one.polarization or "unknown" for one in found})
+        names = list(dict.fromkeys(Path(one.source).name for one in found))
+        kinds = ", ".join(sorted({one.polarization or "unknown" for one in found}))
+        if len(names) == 1:
+            raise InputError(f"{path}: found images of the polarizations {kinds}; state one by --polarization")
         raise InputError(
-            f"{path}: found {len(found)} images ({names}; polarizations {', '.join(kinds)}); name one annotation file, "
+            f"{path}: found {len(found)} images ({', '.join(names)}; polarizations {kinds}); name one annotation file, "
             "or --polarization"
         )
     return found[0]
@@ -147,8 +145,11 @@ def run(
     for one in formats:
         if one in files.EXTRAS:
             files.EXTRAS[one].require(f"--format {one}:")
+    if landcover is None and landcover_table != LANDCOVER_TABLE:
+        raise InputError(f"--landcover-table: found {landcover_table!r} without --landcover; state that, too")
     where = devices.resolve_device(device)
     console.say_device(where)
+    refuse_unwritable(out)
     found = twin(
         product,
         dem,
@@ -196,7 +197,7 @@ def run(
         },
     }
     content = write_json(out / "twin.json", None, where, None, started, content)
-    write_report(out / "report.html", said, against, differs, drawn, content, command)
+    write_report(out / "report.html", said, against, differs, {name: out / name for name in drawn}, content, command)
     console.say_written(out, "report.html", "twin.json", *written)
     print("\n".join([*said.words, *words_of(against), *words_of(differs)]))
     return content
@@ -235,13 +236,13 @@ def write_report(
     said: TwinSummary,
     against: TerrainComparison | str | None,
     differs: TerrainDifferences | str | None,
-    drawn: Mapping[str, Figure],
+    drawn: Mapping[str, Path],
     content: dict[str, Any],
     command: Sequence[str],
 ) -> None:
-    """`content` is that of twin.json, `command` the words that made it."""
+    """`drawn` are files of pictures, `content` is that of twin.json, `command` the words that made it."""
     lead = f"warpsar twin {content['version']}; {content['product']}, {content['acquired'][:19]} UTC"
-    pictures = {name: report.picture(_png(figure), CAPTIONS[name]) for name, figure in drawn.items()}
+    pictures = {name: report.picture(file.read_bytes(), CAPTIONS[name]) for name, file in drawn.items()}
     compared = [report.paragraph(_sentence(each)) for each in words_of(against)]
     if against is not None:
         compared += [pictures.pop("comparison.png")] if "comparison.png" in pictures else []
@@ -292,9 +293,3 @@ def _sentence(words: str) -> str:
 
 def _beside(content: dict[str, Any]) -> str:
     return ", ".join(["twin.json", *(name for name in content["files"] if name != "report.html")])
-
-
-def _png(figure: Figure) -> bytes:
-    stream = BytesIO()
-    figure.savefig(stream, format="png", dpi=110)
-    return stream.getvalue()

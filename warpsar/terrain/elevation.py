@@ -22,6 +22,8 @@ from warpsar.world.meshes.dem import LARGEST_PER_BYTE, check_heights
 F64 = NDArray[np.float64]
 HEIGHTS_M = (-500.0, 9000.0)
 """Of the land, with a margin: others are no metres, or a value of no data that the file does not name."""
+METRES = ("m", "metre", "meter", "metres", "meters")
+"""As files call the unit of heights."""
 READ_POSTS = 2**22
 LARGEST_SIDE = 2**18
 """Posts along one side; 1 arc second over 72 degrees."""
@@ -39,7 +41,7 @@ class VerticalDatum:
     to_geodetic: Callable[[F64, F64, F64], tuple[F64, F64, F64]]
 
 
-def datum_of(path: Path, crs_wkt: str, geoid_offset_m: float | None) -> VerticalDatum:
+def datum_of(path: Path, crs_wkt: str, geoid_offset_m: float | None, unit: str = "m") -> VerticalDatum:
     """What a file's coordinate system and the user say of its heights.
 
     With `geoid_offset_m` that is added to all heights. Without it the file must name a vertical datum, and PROJ must
@@ -62,6 +64,9 @@ def datum_of(path: Path, crs_wkt: str, geoid_offset_m: float | None) -> Vertical
         level = pyproj.Transformer.from_crs(flat, "EPSG:4326", always_xy=True)
     except ProjError as error:
         raise InputError(f"{path}: its coordinate system is not known to PROJ ({str(error)[:200]})") from error
+    # of a vertical datum PROJ knows the unit
+    if (geoid_offset_m is not None or not crs.is_vertical) and unit.lower() not in METRES:
+        raise InputError(f"{path}: found heights in {unit!r}, by its band; must be metres ('m')")
     if geoid_offset_m is not None:
         words = f"{geoid_offset_m:+g} m were added to all heights, as stated"
         return VerticalDatum(words, lambda x, y, z: (*_flat(level, x, y), z + geoid_offset_m))
@@ -119,11 +124,9 @@ def _by_grid(path: Path, crs: Any, name: str) -> tuple[str, Callable[[F64, F64, 
 
 @dataclass(frozen=True)
 class PostWindow:
-    """Rows and columns from `row` and `column` on: longitude, latitude [deg] and ellipsoidal height [m], (rows,
-    columns) each; height is NaN where there is no data."""
+    """Longitude, latitude [deg] and ellipsoidal height [m], (rows, columns) each; height is NaN where there is no
+    data."""
 
-    row: int
-    column: int
     longitude: F64
     latitude: F64
     height: F64
@@ -154,6 +157,8 @@ class Elevation:
             check_heights(path, source)
             if source.crs is None:
                 raise InputError(f"{path}: found no coordinate system; must have one")
+            if source.transform.is_identity:
+                raise InputError(f"{path}: found no place of its heights (no geotransform); must have one")
             shape, crs, affine = (source.height, source.width), source.crs, source.transform
             if min(shape) < 2 or max(shape) > LARGEST_SIDE:
                 raise InputError(
@@ -164,7 +169,7 @@ class Elevation:
                 raise InputError(
                     f"{path}: found {shape[0]} x {shape[1]} heights in {path.stat().st_size} bytes: broken"
                 )
-            datum = datum_of(path, crs.to_wkt(), geoid_offset_m)
+            datum = datum_of(path, crs.to_wkt(), geoid_offset_m, source.units[0] or "m")
             low, high = np.inf, -np.inf
             rows = max(READ_POSTS // shape[1], 1)
             for first in range(0, shape[0], rows):
@@ -197,7 +202,7 @@ class Elevation:
         with geotiff.opened(self.path) as source:
             height = _heights(source, *rows, *columns)
         placed = _placed(self.affine, self.datum, np.arange(*rows), np.arange(*columns), height)
-        return PostWindow(rows[0], columns[0], *placed)
+        return PostWindow(*placed)
 
     def posts_at(self, longitude: F64, latitude: F64) -> tuple[F64, F64]:
         """Rows and columns of places [deg]; whole numbers are posts."""

@@ -41,9 +41,7 @@ class GroundPosts:
     start_m: float
     forward: float
     """Sign of a level facet's area in (line, slant range)."""
-    window: tuple[int, int, int, int]
-    """Rows and columns of the elevation model that the posts are: first row, rows, first column, columns."""
-    cell: NDArray[np.int64]
+    cell: NDArray[np.int32]
     """(rows - 1, columns - 1): the first of the two facets between four posts; -1 for none."""
     turned: bool
     """Whether facets have their corners in the other order than the raster has: its rows run north, or columns west."""
@@ -55,27 +53,6 @@ class GroundPosts:
     """(n, 2): column and row of each post in `classes`; whole numbers are corners of cells."""
     classes: NDArray[np.int32]
     """(rows, columns): the row of sigma0."""
-
-    def cells(self, rows: F64, columns: F64) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.int64]]:
-        """On which facet places of a grid of rows (a,) and columns (b,) of the elevation model lie.
-
-        The facet (n,), barycentric weights (n, 2) of its corners 1 and 2, and which of the a * b places they are.
-        """
-        row, column = np.meshgrid(rows - self.window[0], columns - self.window[2], indexing="ij")
-        top = np.floor(row).astype(np.int64)
-        left = np.floor(column).astype(np.int64)
-        inside = (top >= 0) & (top < self.cell.shape[0]) & (left >= 0) & (left < self.cell.shape[1])
-        which = np.flatnonzero(inside)
-        first = self.cell[top.ravel()[which], left.ravel()[which]]
-        which, first = which[first >= 0], first[first >= 0]
-        down, along = ((each - np.floor(each)).ravel()[which] for each in (row, column))
-        upper = down + along <= 1.0
-        one = np.where(upper, down, 1.0 - along)
-        two = np.where(upper, along, down + along - 1.0)
-        if self.turned:
-            two = 1.0 - one - two
-        weights = np.stack([one, two], axis=-1).astype(np.float32)
-        return (first + ~upper).astype(np.int32), weights, which
 
 
 def ground_of(product: Product, elevation: Elevation, block: ImageBlock, scenery: Scenery) -> GroundPosts | None:
@@ -99,7 +76,7 @@ def ground_of(product: Product, elevation: Elevation, block: ImageBlock, scenery
     used = np.zeros(rows * columns, bool)
     used[pairs] = True
     post = np.where(used, np.cumsum(used) - 1, -1)
-    cell = np.full(whole.shape, -1, np.int64)
+    cell = np.full(whole.shape, -1, np.int32)
     cell[whole] = 2 * np.arange(corner.size)
     facets = post[pairs.reshape(-1, 3)]
     geodetic = np.stack([each.ravel()[used] for each in (found.latitude, found.longitude, found.height)], axis=-1)
@@ -141,7 +118,7 @@ def ground_of(product: Product, elevation: Elevation, block: ImageBlock, scenery
     return GroundPosts(
         local, geodetic, line, slant - start, look, axes_up(geodetic) @ origin.axes.T,
         np.ascontiguousarray(facets, np.int32), origin, start, _forward(product, block.grid, float(middle), start),
-        (found.row, rows, found.column, columns), cell, turned, ground_facets, cover, class_place, classes,
+        cell, turned, ground_facets, cover, class_place, classes,
     )  # fmt: skip
 
 

@@ -10,16 +10,18 @@ from numpy.typing import NDArray
 
 from warpsar.kernels.terrain import (
     Backscatter,
+    CellPlaces,
     GroundFacets,
-    MapCells,
+    MapGrid,
     PixelEdges,
     PixelSums,
     PostPlaces,
+    hiding_kernel,
     map_kernel,
     place_kernel,
     project_kernel,
 )
-from warpsar.runtime.structs import fill
+from warpsar.runtime.structs import element_types, fill
 from warpsar.terrain.ground import GroundPosts
 
 F32 = NDArray[np.float32]
@@ -54,14 +56,16 @@ class BlockPixels:
 
 @dataclass(frozen=True)
 class BlockCells:
-    """Of cells of the map (n,): line and pixel in the block, fractional; NaN outside of it. Whether they are lit, and
-    on a facet that lies over others; local incidence [deg]."""
+    """Of cells of the map (rows, columns): which of the block's pixels, (lines * pixels,), shows it; -1 for none. Its
+    line and pixel in the block, fractional; local incidence [deg]; whether it is lit, and on a facet that lies over
+    others. Where no pixel shows it these say nothing."""
 
-    line: F64
-    pixel: F64
+    pixel: NDArray[np.int32]
+    line_at: F64
+    pixel_at: F64
     incidence: F32
-    lit: NDArray[np.bool_]
-    folded: NDArray[np.bool_]
+    lit: NDArray[np.uint8]
+    folded: NDArray[np.uint8]
 
 
 class BlockProjection:
@@ -82,7 +86,6 @@ class BlockProjection:
         self._ground = ground
         points: wp.array = wp.array(ground.point_m, dtype=wp.vec3, device=device)
         corners: wp.array = wp.array(ground.facets.ravel(), dtype=int, device=device)
-        self._tree = wp.Mesh(points, corners)
         self._facets = fill(
             GroundFacets,
             points=points,
@@ -95,6 +98,7 @@ class BlockProjection:
             ground=ground.ground_facets,
             forward=ground.forward,
         )
+        self._tree = wp.Mesh(points, self._hiding(corners))
         self._edges = fill(PixelEdges, slant=wp.array(edges, dtype=float, device=device))
         self._backscatter = fill(
             Backscatter,
@@ -105,6 +109,21 @@ class BlockProjection:
         extent = np.ptp(ground.point_m, axis=0)
         self._reach_m = float(np.linalg.norm(extent)) + 1.0
         self._clear_m = max(CLEAR_SHARE * spacing_m, LEAST_CLEAR_M)
+
+    def _hiding(self, corners: wp.array) -> wp.array:
+        """Corners of the facets that may hide others from the radar: some in a hundred of most terrain.
+
+        A ray can come below the ground through a hole in it; then all may be met.
+        """
+        ground = self._ground
+        if (ground.cell < 0).any():
+            return corners
+        hides = wp.zeros(len(ground.facets), dtype=wp.uint8, device=self.device)
+        wp.launch(hiding_kernel, dim=len(hides), inputs=[self._facets], outputs=[hides], device=self.device)
+        chosen = np.flatnonzero(hides.numpy())
+        kept = ground.facets[chosen if chosen.size else [0]]  # a tree must have one
+        found: wp.array = wp.array(kept.ravel(), dtype=int, device=self.device)
+        return found
 
     def pixels(self) -> BlockPixels:
         """Facets into pixels."""
@@ -138,27 +157,26 @@ class BlockProjection:
             latitude + origin.latitude_deg, height, incidence, ellipsoid, cover,
         )  # fmt: skip
 
-    def cells(self, facet: NDArray[np.int32], weights: F32) -> BlockCells:
-        """Cells of the map, whose middles lie on facets (n,) with barycentric weights (n, 2) of corners 1 and 2."""
-        n = len(facet)
-        cells = fill(
-            MapCells,
-            facet=wp.array(facet, dtype=int, device=self.device),
-            weights=wp.array(weights, dtype=wp.vec2, device=self.device),
+    def cells(self, fine: int) -> BlockCells:
+        """Cells of the map, `fine` by `fine` about each post of the block."""
+        ground = self._ground
+        grid = fill(
+            MapGrid,
+            facet=wp.array(ground.cell, dtype=int, device=self.device),
+            fine=fine,
+            turned=int(ground.turned),
+            backwards=int(self._turned),
         )
-        kinds = (wp.float64, wp.float64, float, int, int)
-        found = [wp.zeros(n, dtype=kind, device=self.device) for kind in kinds]
+        shape = tuple((n + 1) * fine for n in ground.cell.shape)
+        found = {
+            name: wp.empty(shape, dtype=kind, device=self.device) for name, kind in element_types(CellPlaces).items()
+        }
         wp.launch(
-            map_kernel, dim=n,
-            inputs=[cells, self._facets, self._edges, self._tree.id, self._clear_m, self._reach_m],
-            outputs=found, device=self.device,
+            map_kernel, dim=shape,
+            inputs=[grid, self._facets, self._edges, self._tree.id, self._clear_m, self._reach_m],
+            outputs=[fill(CellPlaces, **found)], device=self.device,
         )  # fmt: skip
-        line, pixel, incidence, lit, folded = (each.numpy() for each in found)
-        outside = pixel < -0.75  # the first pixel begins at -0.5
-        line, pixel = np.where(outside, np.nan, line), np.where(outside, np.nan, pixel)
-        if self._turned:
-            pixel = self.shape[1] - 1 - pixel
-        return BlockCells(line, pixel, incidence, lit > 0, folded > 0)
+        return BlockCells(**{name: values.numpy() for name, values in found.items()})
 
     def _straight(self, found: np.ndarray) -> np.ndarray:
         return found[:, ::-1] if self._turned else found

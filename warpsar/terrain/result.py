@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from functools import partial
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -17,7 +19,7 @@ from warpsar.io.geotiff import AffinePlace
 from warpsar.products.product import ImagedPoint, Product, to_beta0
 from warpsar.runtime import console
 from warpsar.runtime.devices import load_kernels
-from warpsar.runtime.threads import ordered
+from warpsar.runtime.threads import in_threads
 from warpsar.terrain.blocks import Box, ImageBlock, ImageWindow, blocks_of, window_of
 from warpsar.terrain.elevation import Elevation
 from warpsar.terrain.ground import edges_of, ground_of
@@ -82,12 +84,12 @@ def simulated(
     columns = min(b.columns[0] for b in blocks), max(b.columns[1] for b in blocks)
     pixels, words = _pixels(product, window)
     canvas = _Canvas(
-        product, elevation, window, rows, columns, fine, noise=_has_noise(product), measured=pixels,
-        cover=len(scenery.surfaces) > 1,
+        product, elevation, window, rows, columns, fine, device, noise=_has_noise(product),
+        measured=pixels, cover=len(scenery.surfaces) > 1,
     )  # fmt: skip
     bar = console.progress(len(blocks), "twin", "block")
     tasks = [partial(canvas.fill, block, scenery, device) for block in blocks]
-    for _ in ordered(tasks, device):
+    for _ in in_threads(tasks):  # on a GPU, too: most of a block's time is the host's
         bar.update()
     bar.close()
     if not np.isfinite(canvas.image["area_sigma"]).any():
@@ -152,6 +154,7 @@ class _Canvas:
         rows: tuple[int, int],
         columns: tuple[int, int],
         fine: int,
+        device: wp.Device,
         *,
         noise: bool,
         measured: bool,
@@ -160,6 +163,7 @@ class _Canvas:
         self.product, self.elevation, self.window = product, elevation, window
         self.rows, self.columns, self.fine = rows, columns, fine
         self.map_top = self.map_left = 0
+        self._turn: AbstractContextManager[Any] = nullcontext() if device.is_cpu else Lock()  # one block on a GPU
         single = ["beta0", "sigma0", "gamma0", "incidence", "ellipsoid_incidence", "layover", "shadow", "surfaces"]
         single += ["area_beta", "area_sigma", "area_gamma", "height"]
         single += ["noise"] * noise + ["measured"] * measured + ["cover"] * cover
@@ -168,10 +172,8 @@ class _Canvas:
         shape = (rows[1] - rows[0]) * fine, (columns[1] - columns[0]) * fine
         size = 4 * (len(single) + 4) * window.shape[0] * window.shape[1] + 4 * (len(mapped) + 4) * shape[0] * shape[1]
         large = size > IN_MEMORY
-        self.image = {name: _room(window.shape, np.float32, large) for name in single}
-        self.image |= {name: _room(window.shape, np.float64, large) for name in ("longitude", "latitude")}
-        self.map = {name: _room(shape, np.float32, large) for name in mapped}
-        self.map |= {name: _room(shape, np.float64, large) for name in ("line", "pixel")}
+        self.image = _rooms(window.shape, single, ("longitude", "latitude"), large)
+        self.map = _rooms(shape, mapped, ("line", "pixel"), large)
 
     def fill(self, block: ImageBlock, scenery: Scenery, device: wp.Device) -> None:
         ground = ground_of(self.product, self.elevation, block, scenery)
@@ -179,38 +181,30 @@ class _Canvas:
             return
         edges = edges_of(block.grid, _lines(block), block.window.pixels)
         spacing = min(self.elevation.spacing_m)
-        projection = BlockProjection(ground, edges, scenery.sigma0, spacing, device)
-        found = self._fill_image(block, projection.pixels(), edges)
-        rows, columns = (
-            first - 0.5 + (np.arange((last - first) * self.fine) + 0.5) / self.fine
-            for first, last in (block.rows, block.columns)
-        )
-        facet, weights, which = ground.cells(rows, columns)
-        if not facet.size:
-            return
-        cells = projection.cells(facet, weights)
-        inside = np.isfinite(cells.line)
-        row, column = np.unravel_index(which[inside], (rows.size, columns.size))
-        row = row + (block.rows[0] - self.rows[0]) * self.fine
-        column = column + (block.columns[0] - self.columns[0]) * self.fine
-        line, pixel = cells.line[inside], cells.pixel[inside]
-        at = (
-            np.clip(np.floor(line + 0.5).astype(int), 0, block.window.shape[0] - 1),
-            np.clip(np.floor(pixel + 0.5).astype(int), 0, block.window.shape[1] - 1),
-        )
-        lit = cells.lit[inside]
-        made = {name: found[name][at] for name in self.map if name in found}
-        made |= {
+        with self._turn:
+            projection = BlockProjection(ground, edges, scenery.sigma0, spacing, device)
+            pixels, cells = projection.pixels(), projection.cells(self.fine)
+            del projection
+        found = self._fill_image(block, pixels, edges)
+        inside = cells.pixel >= 0
+        at, lit = cells.pixel[inside], cells.lit[inside] > 0
+        over = (cells.folded[inside] > 0) | (found["layover"].ravel()[at] >= 0.5)
+        made = {
             "incidence": cells.incidence[inside],
             "shadow": np.where(lit, 0.0, 1.0),
-            "layover": np.where(lit & (cells.folded[inside] | (found["layover"][at] >= 0.5)), 1.0, 0.0),
-            "line": line + block.window.lines[0],
-            "pixel": pixel + block.window.pixels[0],
+            "layover": np.where(lit & over, 1.0, 0.0),
+            "line": cells.line_at[inside] + block.window.lines[0],
+            "pixel": cells.pixel_at[inside] + block.window.pixels[0],
         }
+        for name in self.map.keys() & found.keys() - made.keys():
+            made[name] = found[name].ravel()[at]
+            made[name][~lit] = np.nan  # such a pixel shows other ground
+        rows, columns = (
+            slice((of[0] - whole[0]) * self.fine, (of[1] - whole[0]) * self.fine)
+            for of, whole in ((block.rows, self.rows), (block.columns, self.columns))
+        )
         for name, values in made.items():
-            if name not in ("incidence", "shadow", "layover", "line", "pixel"):
-                values = np.where(lit, values, np.nan)  # such a pixel shows other ground
-            self.map[name][row, column] = values
+            self.map[name][rows, columns][inside] = values
 
     def _fill_image(self, block: ImageBlock, found: BlockPixels, edges: F64) -> dict[str, np.ndarray]:
         """The block's part of each layer."""
@@ -240,7 +234,8 @@ class _Canvas:
             }
             if "noise" in self.image or "measured" in self.image:
                 made |= self._radiometry(block, line, pixel, found, beta_area)
-        made = {name: np.where(ground, values, np.nan) for name, values in made.items()}
+        if not ground.all():
+            made = {name: np.where(ground, values, np.nan) for name, values in made.items()}
         top, left = block.window.lines[0] - self.window.lines[0], block.window.pixels[0] - self.window.pixels[0]
         for name, values in made.items():
             if name in self.image:
@@ -293,6 +288,13 @@ class _Canvas:
 
 def _lines(block: ImageBlock) -> tuple[int, int]:
     return block.window.lines[0] - block.grid_line, block.window.lines[1] - block.grid_line
+
+
+def _rooms(shape: Sequence[int], single: Sequence[str], double: Sequence[str], large: bool) -> dict[str, np.ndarray]:
+    """Layers by name, in single and in double precision."""
+    kinds = dict.fromkeys(single, np.float32) | dict.fromkeys(double, np.float64)
+    made = in_threads([partial(_room, shape, kind, large) for kind in kinds.values()])
+    return dict(zip(kinds, made, strict=True))
 
 
 def _room(shape: Sequence[int], kind: type, large: bool) -> np.ndarray:

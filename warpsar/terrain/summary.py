@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
+from warpsar.runtime.threads import in_threads
 from warpsar.terrain.layers import of_image
 from warpsar.terrain.result import SimulatedProduct
 
@@ -52,15 +54,12 @@ def summary(found: SimulatedProduct) -> TwinSummary:
     covered = np.isfinite(image["surfaces"])
     shares = [float(np.mean(image[name][covered] >= 0.5)) for name in ("layover", "shadow")]
     layers = []
-    for name, values in image.items():
+    percentiles = in_threads([partial(_percentiles, image[name][covered], of_image(name).kind) for name in image])
+    for name, values in zip(image, percentiles, strict=True):
         layer = of_image(name)
-        known = np.asarray(values[covered], np.float64)
-        known = known[np.isfinite(known)]
-        unit = layer.unit
-        if layer.kind == "power":
-            known, unit = 10.0 * np.log10(known[known > 0.0]), "dB"
-        if known.size:
-            layers.append(LayerSummary(name, unit, layer.words, tuple(np.percentile(known, LEVELS).tolist())))
+        unit = "dB" if layer.kind == "power" else layer.unit
+        if values:
+            layers.append(LayerSummary(name, unit, layer.words, values))
     rows, columns = found.window.shape
     words = [
         f"{rows} lines x {columns} pixels of {found.product.platform}, {found.pixels}",
@@ -68,3 +67,16 @@ def summary(found: SimulatedProduct) -> TwinSummary:
         f"heights: {found.elevation.datum.words}",
     ]
     return TwinSummary((rows, columns), float(covered.mean()), shares[0], shares[1], tuple(layers), tuple(words))
+
+
+def _percentiles(values: np.ndarray, kind: str) -> tuple[float, ...]:
+    """`LEVELS` of finite values, linear between neighbours; of powers above zero, in dB. Empty where there are none."""
+    known = values[(values > 0.0) & (values < np.inf)] if kind == "power" else values[np.isfinite(values)]
+    if not known.size:
+        return ()
+    place = np.array(LEVELS) / 100.0 * (known.size - 1)
+    ends = np.stack([np.floor(place), np.ceil(place)]).astype(int)
+    low, high = np.partition(known, np.unique(ends))[ends].astype(np.float64)  # their order is that of decibels, too
+    if kind == "power":
+        low, high = 10.0 * np.log10(low), 10.0 * np.log10(high)
+    return tuple((low + (place - ends[0]) * (high - low)).tolist())
