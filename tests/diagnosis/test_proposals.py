@@ -10,14 +10,14 @@ import pytest
 from learning_scenes import speckle
 from worlds import BRICK, SOIL, box, ground, mesh_of, plate, scene_of, view
 
-from warpsar.diagnosis.models.change import GeometryCandidate
+from warpsar.diagnosis.geometry.base.change import GeometryCandidate
+from warpsar.diagnosis.geometry.missing_object import _worth_a_fit, proposed
 from warpsar.diagnosis.models.projection import pixel_of
 from warpsar.diagnosis.proposals import shapes
 from warpsar.diagnosis.proposals.bodies import sound
 from warpsar.diagnosis.proposals.fit import Standing, TrialGround
 from warpsar.diagnosis.proposals.left_out import explained
 from warpsar.diagnosis.proposals.places import BodyPlace, Looked, Ratios, free_ground
-from warpsar.diagnosis.proposals.search import _worth_a_fit, proposed
 from warpsar.differentiable.geometry import exact_images
 from warpsar.runtime import devices
 from warpsar.scene.placing import with_objects

@@ -11,9 +11,9 @@ from warpsar.compare.contract import ROLES
 from warpsar.compare.metrics import difference, pool
 from warpsar.diagnosis.field_content import fields_content
 from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Diagnosis, EffectRival, Turn
+from warpsar.diagnosis.geometry.registry import is_geometry
 from warpsar.diagnosis.known import known_content
 from warpsar.diagnosis.left.words import described
-from warpsar.diagnosis.models.change import is_geometry
 from warpsar.diagnosis.models.names import kind_of, object_of
 from warpsar.diagnosis.result import Diagnosed, of_role, why_not
 from warpsar.diagnosis.search.outcome import outcome

@@ -17,15 +17,14 @@ from warpsar.compare.judgement import SHARE, Finding, Judgement, judge, speckle_
 from warpsar.compare.metrics import difference, likelihood_gain
 from warpsar.diagnosis.alternatives import Deciding, deciding
 from warpsar.diagnosis.found import REFUSES, Candidate, DiagnoseOptions, Diagnosis, EffectRival
+from warpsar.diagnosis.geometry.registry import changes, is_geometry, of
 from warpsar.diagnosis.left.place import ResidualPlace, place
 from warpsar.diagnosis.left.summary import Left, left_of
-from warpsar.diagnosis.models.change import ABSENT, MISSING, changes, is_geometry
 from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.judge import under, with_speckle
 from warpsar.diagnosis.models.left_out import LARGEST_DIFFERENCE, clipped
 from warpsar.diagnosis.models.names import kind_of, object_of
 from warpsar.diagnosis.models.refit import Fitted, refit_without
-from warpsar.diagnosis.models.sensor import is_own_angle, is_sensor
 from warpsar.diagnosis.role_metrics import RoleMetrics, role_metrics
 from warpsar.diagnosis.search.geometry_confirmation import taken_back
 from warpsar.diagnosis.search.procedure import diagnose_scene
@@ -42,9 +41,6 @@ from warpsar.speckle.scan import Spot
 # ---- which names of the final model are earned
 
 
-PLACED = {ABSENT, MISSING}  # bodies that are there or are not: no remainder elsewhere puts them in doubt
-
-
 def not_established(found: Diagnosis, verdicts: Mapping[str, Judgement]) -> dict[str, str]:
     """Names of the final model that are not earned, with their objects, and why, in words.
 
@@ -58,9 +54,9 @@ def not_established(found: Diagnosis, verdicts: Mapping[str, Judgement]) -> dict
         if name in found.on_trial:
             why[name] = "the time was over before it was asked beside the others"
         elif is_geometry(name):
-            if "edges" in left and kind_of(name) not in PLACED:
+            if "edges" in left and of(name).edges_doubt:
                 why[name] = "edges do not agree with it"
-            elif "structure" in left and is_sensor(name):
+            elif "structure" in left and of(name).structure_doubts:
                 why[name] = "structure is left with it"
         elif "edges" in left and get(name).stage == "position":
             why[name] = "edges do not agree with it"
@@ -354,7 +350,7 @@ def _added(found: Diagnosis, fitted: Fitted) -> list[str]:
 
 
 def _withdrawable(found: Diagnosis, fitted: Fitted) -> list[str]:
-    return [name for name in _added(found, fitted) if not is_own_angle(name)]
+    return [name for name in _added(found, fitted) if not (is_geometry(name) and of(name).only_view(object_of(name)))]
 
 
 def _without(setup: FitSetup, fitted: Fitted, declared: Scene, name: str) -> Fitted:

@@ -10,11 +10,10 @@ from typing import Any
 import tomlkit
 
 from warpsar.diagnosis.found import Diagnosis
+from warpsar.diagnosis.geometry.registry import body_changes
 from warpsar.learning.identify import Identified
+from warpsar.learning.pose_search import sd_key
 from warpsar.surface.surface import KINDS
-
-SD_KEYS = {"position_m": "position_sd_m", "heading_deg": "heading_sd_deg", "size_m": "size_sd_m"}
-"""Keys of an object's table, and where diagnosis.json has their standard deviations."""
 
 
 def own_materials(found: Diagnosis, identified: Identified) -> dict[str, dict[str, dict[str, float]]]:
@@ -41,10 +40,11 @@ def annotate(path: Path, objects: Mapping[str, Mapping[str, Any]]) -> None:
     A tolerance would be wrong there: a fit to the same images would take them for knowledge, and count them twice.
     """
     document = tomlkit.parse(path.read_text(encoding="utf-8"))
+    commented = {key: sd_key(key) for change in body_changes() for key in change.commented}
     for table in document.get("objects", []):
-        told = objects.get(str(table.get("name", table.get("group", ""))), {})
-        for key, sd in SD_KEYS.items():
-            if key in table and sd in told:
-                values = told[sd] if isinstance(told[sd], list) else [told[sd]]
-                table[key].comment("standard deviation " + ", ".join(f"{value:.2g}" for value in values))
+        values = objects.get(str(table.get("name", table.get("group", ""))), {})
+        for key, sd in commented.items():
+            if key in table and sd in values:
+                sds = values[sd] if isinstance(values[sd], list) else [values[sd]]
+                table[key].comment("standard deviation " + ", ".join(f"{each:.2g}" for each in sds))
     path.write_text(tomlkit.dumps(document), encoding="utf-8", newline="\n")

@@ -15,7 +15,7 @@ import warp as wp
 from warpsar.compare.aim import Reach, aimed, aimed_deviance, best_shift, stated_aims, with_aims
 from warpsar.compare.prediction import PredictedImage, compared, measured_of, predicted
 from warpsar.compare.rivals import Seen
-from warpsar.diagnosis.models.change import content, scene_with
+from warpsar.diagnosis.geometry.registry import content, scene_with
 from warpsar.diagnosis.models.refit import standing_at, surface_content, with_surface
 from warpsar.learning.geometry import still
 from warpsar.learning.optimise import levenberg_marquardt

@@ -8,11 +8,10 @@ import numpy as np
 
 from warpsar.compare.comparison import Comparison
 from warpsar.diagnosis.found import EffectRival
-from warpsar.diagnosis.models.change import SUMMARIES
+from warpsar.diagnosis.geometry.registry import summary_of
 from warpsar.diagnosis.models.names import kind_of, object_of
 from warpsar.diagnosis.report.next_step import Step, next_steps, refuted
 from warpsar.diagnosis.result import Diagnosed
-from warpsar.effects.registry import get
 from warpsar.evaluation.report_parts import (
     SMOOTHED,
     averaged_ratio_db,
@@ -107,7 +106,7 @@ def _meanings(done: Diagnosed) -> list[str]:
     said = []
     for name in held:
         kind, of = kind_of(name), object_of(name)
-        said.append(f"{kind}{f' of {of}' if of else ''}: {SUMMARIES.get(kind) or get(kind).summary}")
+        said.append(f"{kind}{f' of {of}' if of else ''}: {summary_of(kind)}")
     speckle = f"{done.speckle.words[0].upper()}{done.speckle.words[1:]}."
     return [*([f"{'; '.join(said)}."] if said else []), *([speckle] if done.speckle.names else [])]
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from warpsar.compare.contract import ROLES
+from warpsar.diagnosis.geometry.registry import summary_of
 from warpsar.diagnosis.models.carried import Carried
-from warpsar.diagnosis.models.change import SUMMARIES
 from warpsar.diagnosis.report.next_step import refuted
 from warpsar.diagnosis.result import OPEN_WORDS, Diagnosed
 from warpsar.diagnosis.search.outcome import effect_table
-from warpsar.effects.registry import get
 from warpsar.evaluation.report_parts import plus_minus
 from warpsar.io import html as report
 
@@ -130,7 +129,7 @@ def _first(done: Diagnosed) -> list[str]:
 def _named(step: dict[str, Any]) -> str:
     """What was added, and what that means."""
     of = f" of {step['object']}" if "object" in step else ""
-    return f"{step['effect']}{of} ({SUMMARIES.get(step['effect']) or get(step['effect']).summary})"
+    return f"{step['effect']}{of} ({summary_of(step['effect'])})"
 
 
 def _verdict(done: Diagnosed, content: dict[str, Any]) -> list[str]:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from warpsar.diagnosis.found import Candidate, Turn
-from warpsar.diagnosis.models.change import is_geometry
+from warpsar.diagnosis.geometry.registry import is_geometry
 from warpsar.diagnosis.result import Diagnosed
 from warpsar.diagnosis.search.outcome import by_score, gain_text, outcome, passed, score_text
 from warpsar.evaluation.report_parts import plus_minus

@@ -87,7 +87,7 @@ def diagnose_scene(
     search.run(None if limit is None else limit - (time.monotonic() - begun))
     bar.close()
     final, rivals = search.final(), search.rivals()
-    objects = search.objects(final)
+    values = search.values(final)
     return Diagnosis(
         scene,
         declared,
@@ -99,8 +99,8 @@ def diagnose_scene(
         judge,
         speckle,
         rivals,
-        objects=objects,
-        sensor=search.sensor(final),
+        objects=values["objects"],
+        sensor=values["sensor"],
         not_asked=search.not_asked,
         on_trial=search.on_trial,
     )

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from warpsar.diagnosis.found import Candidate, Confirmed, DarkScan, DiagnoseOptions, Turn
+from warpsar.diagnosis.geometry.registry import content, scene_with
 from warpsar.diagnosis.models.carried import Carried
-from warpsar.diagnosis.models.change import content, scene_with
 from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.left_out import ViewsLeftOut
 from warpsar.diagnosis.models.refit import Fitted
