@@ -37,7 +37,7 @@ def differences(declared: Scene, scene: Scene) -> list[BodyDifference]:
     objects."""
     before = {one.label: one for one in declared.objects}
     now = {one.label: one for one in scene.objects}
-    gone = [*removed_groups(scene), *(set(before) - set(now))]
+    gone = [*removed_groups(scene), *(label for label in before if label not in now)]
     found = [BodyDifference(label, before.get(label), None) for label in dict.fromkeys(gone)]
     for label, one in now.items():
         was = before.get(label, None if one.group is None else Object(group=one.group))
