@@ -16,15 +16,15 @@ from warpsar.learning.pose_search import sd_key
 from warpsar.surface.surface import KINDS
 
 
-def own_materials(found: Diagnosis, identified: Identified) -> dict[str, dict[str, dict[str, float]]]:
+def own_materials(diagnosis: Diagnosis, identified: Identified) -> dict[str, dict[str, dict[str, float]]]:
     """Materials that only the final scene has, by name and learned key, as `materials` in diagnosis.json has them.
 
     `identified` is that of the final model.
     """
     sds = dict(zip(identified.labels, identified.sd.tolist(), strict=True))
     content: dict[str, dict[str, dict[str, float]]] = {}
-    for name, material in found.final.scene.materials.items():
-        if name in found.scene.materials:
+    for name, material in diagnosis.final.scene.materials.items():
+        if name in diagnosis.scene.materials:
             continue
         content[name] = {
             kind.key: {"after": float(getattr(material, kind.key)), "after_sd_log": sds[f"{name}.{kind.key}"]}

@@ -67,8 +67,8 @@ class Dark:
         where they leave it no place."""
         if self.everywhere:
             return table
-        found = get(effect).placed_in_the_dark(scene, table, self.power)
-        return table if found is None else found
+        placed = get(effect).placed_in_the_dark(scene, table, self.power)
+        return table if placed is None else placed
 
 
 def worth_a_refit(candidates: Sequence[Candidate], threshold: float, dark: Dark) -> list[Candidate]:

@@ -85,11 +85,11 @@ def proposed(
     cost = 0.5 * (price if price is not None else np.log(sum(s.looks * s.count for s in without.observations)))
     looked, pays = Looked.at(ground.scene, _ratios(without)), WORTH_A_FIT * cost
     places_tried = _worth_a_fit(looked.best(LOOKED_AT), max(pays, least))
-    found: list[Tried] = []
+    tried: list[Tried] = []
     for place in places_tried:
-        if not any(_stands_at(one, place) for one in found):
-            found += likeliest(ground, without, place, cost)
-    best = max(found, key=lambda one: one.worth(cost), default=None)
+        if not any(_stands_at(one, place) for one in tried):
+            tried += likeliest(ground, without, place, cost)
+    best = max(tried, key=lambda one: one.worth(cost), default=None)
     if best is None:
         return []
     whole = _with_all_else(ground, released(best.standing.scene, without.scene))
@@ -109,9 +109,9 @@ def proposed(
 
 def _worth_a_fit(places: list[BodyPlace], least: float) -> list[BodyPlace]:
     """Places where bodies would explain at least so much, and no much better one is among them."""
-    found = _likely(places, least)
-    least = NEARLY * max((one.score for one in found), default=0.0)
-    return [one for one in found if one.score > least][:PLACES]
+    likely = _likely(places, least)
+    least = NEARLY * max((one.score for one in likely), default=0.0)
+    return [one for one in likely if one.score > least][:PLACES]
 
 
 def _stands_at(tried: Tried, place: BodyPlace) -> bool:
@@ -127,12 +127,12 @@ def _likely(places: list[BodyPlace], least: float) -> list[BodyPlace]:
 
 def _ratios(standing: Standing) -> list[Ratios]:
     """Measured over modelled power of every image."""
-    found = []
+    ratios = []
     for seen, mu in zip(standing.observations, standing.modelled(), strict=True):
         image = np.zeros(seen.interior.shape)
         image[seen.interior] = seen.values / mu
-        found.append(Ratios(seen.view, image, seen.interior, seen.looks))
-    return found
+        ratios.append(Ratios(seen.view, image, seen.interior, seen.looks))
+    return ratios
 
 
 def _with_all_else(ground: TrialGround, scene: Scene) -> Standing:

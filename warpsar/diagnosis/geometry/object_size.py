@@ -41,8 +41,8 @@ class ObjectSize(MovedBody):
         if mine is None or not any(map(alike, found)):
             return found
         words = [f"{mine.object}: the same images come from {one.reading}" for one in found if alike(one)]
-        said = replace(mine, words=[*mine.words, *words])
-        return [said if one is mine else one for one in found if not alike(one)]
+        with_readings = replace(mine, words=[*mine.words, *words])
+        return [with_readings if one is mine else one for one in found if not alike(one)]
 
 
 CHANGE = ObjectSize()

@@ -64,8 +64,8 @@ class FitRays:
             state = levenberg_marquardt(problem, state, moving, flat=FLAT, kept_within=KEPT_WITHIN, straight=True)
             if state.arrived:
                 break
-        found = learned_scene(problem, state.best_x)
-        return FittedViews(replace(scene, materials=found.materials, effects=found.effects), float(state.best_loss))
+        learned = learned_scene(problem, state.best_x)
+        return FittedViews(replace(scene, materials=learned.materials, effects=learned.effects), float(state.best_loss))
 
     def loss_at_start(self, scene: Scene, names: Sequence[str]) -> float:
         """The bounded loss of the views `names` before any fit."""

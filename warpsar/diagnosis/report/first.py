@@ -103,12 +103,12 @@ def _joined(names: list[str]) -> str:
 def _meanings(done: Diagnosed) -> list[str]:
     """What the names of the verdict mean."""
     held = [name for name in done.diagnosis.held if name not in done.not_established]
-    said = []
+    meanings = []
     for name in held:
         kind, of = kind_of(name), object_of(name)
-        said.append(f"{kind}{f' of {of}' if of else ''}: {summary_of(kind)}")
+        meanings.append(f"{kind}{f' of {of}' if of else ''}: {summary_of(kind)}")
     speckle = f"{done.speckle.words[0].upper()}{done.speckle.words[1:]}."
-    return [*([f"{'; '.join(said)}."] if said else []), *([speckle] if done.speckle.names else [])]
+    return [*([f"{'; '.join(meanings)}."] if meanings else []), *([speckle] if done.speckle.names else [])]
 
 
 def _speckle_alone(done: Diagnosed) -> bool:

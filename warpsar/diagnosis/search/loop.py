@@ -150,30 +150,30 @@ class Search:
             images = self._judge(scene, "train")
         except NothingLitError:
             return False
-        found = set(self._judge.judgement(images).findings)
-        return bool(once.decide(float("edges" not in found and bool({"structure", "level"} & found))))
+        findings = set(self._judge.judgement(images).findings)
+        return bool(once.decide(float("edges" not in findings and bool({"structure", "level"} & findings))))
 
     def final(self) -> Fitted:
         """The model that the search ended with, at its best; nothing that a pixel can cost is bounded."""
         if not self._added(self._base):
             return self._declared
-        plain, found = replace(self._setup, bound=0.0), self._base
-        if found.problem.misfit.bound > 0:
-            found = settle(plain, found, self.options.starts, self.options.seed)
-        scene, self._posed = posed_anew(plain, found, self.scene)
-        return found if self._posed is None else refit_as(plain, scene)
+        plain, model = replace(self._setup, bound=0.0), self._base
+        if model.problem.misfit.bound > 0:
+            model = settle(plain, model, self.options.starts, self.options.seed)
+        scene, self._posed = posed_anew(plain, model, self.scene)
+        return model if self._posed is None else refit_as(plain, scene)
 
     def values(self, final: Fitted) -> dict[Section, dict[str, dict[str, Any]]]:
         """What became of bodies, angles and spacings that were changed, by what they are called, in the sections of
         diagnosis.json; `final` is `final()`."""
-        found: dict[Section, dict[str, dict[str, Any]]] = {"objects": {}, "sensor": {}}
+        sections: dict[Section, dict[str, dict[str, Any]]] = {"objects": {}, "sensor": {}}
         for name in changes(self.scene, final.scene):
             change, label = of(name), object_of(name)
             added = (turn for turn in reversed(self.turns) if turn.added == name)
             first = next((c.table for turn in added for c in turn.candidates if c.effect == name), None)
             values = change.values(self.scene, final.scene, label, first or {}, self._posed)
-            found[change.section].setdefault(label, {}).update(values)
-        return found
+            sections[change.section].setdefault(label, {}).update(values)
+        return sections
 
     def rivals(self) -> list[EffectRival]:
         """Other effects in the place of those that hold."""
@@ -202,7 +202,7 @@ class Search:
 
     def _forward(self) -> bool:
         """Turns until one adds nothing; whether any added something."""
-        found = False
+        added = False
         while True:
             self._doing = f"turn {len(self.turns) + 1}: which effect explains the residual"
             turn = self._record.turn(self._stage, self._setup, self._base, self._turn)
@@ -210,9 +210,9 @@ class Search:
             console.say("\n".join(turn_lines(turn, len(self.turns))))
             self.turns.append(turn)
             if turn.fitted is None or turn.added is None:
-                return found
+                return added
             self._times[turn.added] += 1
-            found = True
+            added = True
             if changes(self.scene, turn.fitted.scene):
                 self._setup, self._base = on_its_ground(self._setup, self._other, turn.fitted)
             else:
@@ -433,13 +433,13 @@ def learned_law(setup: FitSetup, here: Fitted, price: float) -> tuple[Candidate,
     trial = get(name).trials(Context(here.scene, 1.0))[0]
     scene = replace(here.scene, effects={**here.scene.effects, name: dict(trial.starts[0])})
     fitted = refit_as(setup, scene)
-    found = Candidate(name, "testable", note="the last resort: no named effect explains the residual")
-    found.refit_gain = 2.0 * (fitted.log_likelihood - here.log_likelihood)
-    found.refit_size = fitted.size - here.size
-    found.table = fitted.scene.effects[name]
-    if found.refit_gain <= found.refit_size * price:
-        found.refused = TOO_LITTLE
-        return found, fitted
-    found.left_out = leave_one_view_out(setup, here, fitted, name)
-    found.refused = "" if found.left_out.passed else NOT_ELSEWHERE
-    return found, fitted
+    candidate = Candidate(name, "testable", note="the last resort: no named effect explains the residual")
+    candidate.refit_gain = 2.0 * (fitted.log_likelihood - here.log_likelihood)
+    candidate.refit_size = fitted.size - here.size
+    candidate.table = fitted.scene.effects[name]
+    if candidate.refit_gain <= candidate.refit_size * price:
+        candidate.refused = TOO_LITTLE
+        return candidate, fitted
+    candidate.left_out = leave_one_view_out(setup, here, fitted, name)
+    candidate.refused = "" if candidate.left_out.passed else NOT_ELSEWHERE
+    return candidate, fitted

@@ -94,7 +94,7 @@ def with_all_anew(setup: FitSetup, turn: Turn, declared: Scene) -> FitSetup:
 
 
 def fitted_beside(setup: FitSetup, scene: Scene, declared: Scene) -> tuple[FitSetup, Fitted]:
-    """The pixels of the bench that a scene of another geometry lights, too, and its model fitted to those: on from its
+    """The pixels of the setup that a scene of another geometry lights, too, and its model fitted to those: on from its
     surface, and from the `declared` one, since a body in the wrong place drags its surface anywhere."""
     problem = setup.problem(scene)
     problem.modelled(problem.x0)

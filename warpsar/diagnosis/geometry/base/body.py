@@ -145,9 +145,9 @@ class MovedBody(BodyChange):
         """Nothing where it is in the ground or outside the images."""
         if search is None:
             return []
-        found = search.finish()
-        scene, values = still(found.scene), found.objects[label]
+        poses = search.finish()
+        scene, values = still(poses.scene), poses.objects[label]
         if misplaced(scene):
             return []
         reading = self.reading(values)
-        return [GeometryCandidate(self.name, label, scene, found.gain, found.size, values, found.words, reading)]
+        return [GeometryCandidate(self.name, label, scene, poses.gain, poses.size, values, poses.words, reading)]

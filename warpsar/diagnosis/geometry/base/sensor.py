@@ -66,8 +66,8 @@ class SensorChange(GeometryChange):
     ) -> dict[str, Any]:
         """Values found and declared, and how well known, by key."""
         numbers = {} if posed is None else posed.numbers
-        found = {}
+        values = {}
         for name in self.changed(declared, scene)[label]:
             was, now = self.both(declared, scene, name)
-            found[name.rpartition(".")[2]] = {"found": now, "sd": numbers.get(name, {}).get("sd"), "declared": was}
-        return found
+            values[name.rpartition(".")[2]] = {"found": now, "sd": numbers.get(name, {}).get("sd"), "declared": was}
+        return values
