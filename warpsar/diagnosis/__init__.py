@@ -1,6 +1,6 @@
 """Which effect the images hold and the scene does not declare: `warpsar diagnose`, from residual to verdict.
 
-The files, from the door inwards:
+The files, the outermost first:
 
 command.py          the command
 curves.py           which terms and materials measured curves of RCS show

@@ -572,12 +572,12 @@ class FoldSearch:
         as a box is its own rival, which says nothing before the end."""
         if self._met is None or _is_speckle(self._met.scores / EXPECTED):
             return False
-        lead = self._over_box()
-        return lead is not None and lead.correlation <= SURE * lead.error and lead.deviance <= 0.0
+        margin = self._over_box()
+        return margin is not None and margin.correlation <= SURE * margin.error and margin.deviance <= 0.0
 
     def _ahead_of_box(self) -> bool:
-        lead = self._over_box()
-        return lead is not None and lead.ahead
+        margin = self._over_box()
+        return margin is not None and margin.ahead
 
     def _over_box(self) -> Advantage | None:
         """How far the model that met the box is ahead of it; None where none was met, or the body is a box itself."""
