@@ -14,6 +14,7 @@ from warpsar.diagnosis.geometry.base.change import GeometryCandidate
 from warpsar.diagnosis.geometry.missing_object import _worth_a_fit, proposed
 from warpsar.diagnosis.models.projection import pixel_of
 from warpsar.diagnosis.proposals import shapes
+from warpsar.diagnosis.proposals.bodies import _materials as starts
 from warpsar.diagnosis.proposals.bodies import sound
 from warpsar.diagnosis.proposals.fit import Standing, TrialGround
 from warpsar.diagnosis.proposals.left_out import explained
@@ -26,6 +27,7 @@ from warpsar.speckle.law import Law
 from warpsar.speckle.likelihood import expected_deviance
 from warpsar.world.objects.assembly import Assembly
 from warpsar.world.objects.table import Object
+from warpsar.world.pixels import Pixels
 from warpsar.world.tables import Material, View
 
 CPU = devices.resolve_device("cpu")
@@ -175,6 +177,20 @@ def test_a_flat_patch_is_no_body() -> None:
     assert not sound(of((4.0, 2.0, 0.2)))
     assert not sound(of((0.1, 2.0, 2.0)))
     assert not sound(of((14.0, 2.0, 2.0)))
+
+
+@pytest.mark.parametrize("learn", [(), ("eps_r",)])
+def test_a_body_has_one_number_where_the_ground_has_a_field(learn: tuple[str, ...]) -> None:
+    """A box gets the median of the ground's map; a fit of it ends with numbers again."""
+    eps = np.linspace(4.0, 12.0, 12, dtype=np.float32).reshape(3, 4)
+    soil = Material(**SOIL, layout="texture").model_copy(update={"eps_r": Pixels(eps), "learn": learn})
+    bare = measured(plain(24), (), seed=3)
+    field = replace(bare.mesh, uv=np.zeros((len(bare.mesh.vertices), 2)))
+    trial = TrialGround.of(replace(bare, mesh=field, materials={**bare.materials, "ground": soil}), CPU, None, "gamma")
+    start = starts(trial)[0]
+    assert (start.layout, start.eps_r, start.rms_height_m) == ("uniform", 8.0, SOIL["rms_height_m"])
+    scene = trial.holding(BOX, start.model_copy(update={"learn": ("eps_r",)}))
+    assert isinstance(trial.settled(scene, most=1).scene.materials["it"].eps_r, float)
 
 
 class _Model:

@@ -13,7 +13,8 @@ from warpsar.diagnosis.proposals.left_out import explained
 from warpsar.diagnosis.proposals.places import BodyPlace
 from warpsar.diagnosis.proposals.shapes import TrialBody
 from warpsar.scene.scene import Scene
-from warpsar.world.tables import Material
+from warpsar.world.pixels import Pixels
+from warpsar.world.tables import SURFACE_KEYS, Material
 
 QUICK_STEPS, QUICK_FLAT = 10, 1.0  # of a descent that only compares
 GLANCE_STEPS = 3  # of a shape that may be given up
@@ -143,9 +144,14 @@ def _own(tried: Tried) -> Material:
 
 
 def _materials(ground: TrialGround) -> list[Material]:
-    """Starts for a material: the scene's own, without what is known of them."""
-    update: dict[str, Any] = {"tolerance": {}, "layout": "uniform"}
-    return [material.model_copy(update=update) for material in ground.scene.materials.values()]
+    """Starts for a material: the scene's own, without what is known of them. Of a field a body gets the median."""
+    scene, found = ground.scene, list[Material]()
+    for name, material in scene.materials.items():
+        fields = [key for key in SURFACE_KEYS if isinstance(getattr(material, key), str | Pixels)]
+        update: dict[str, Any] = {"tolerance": {}, "layout": "uniform"}
+        update |= {key: float(np.median(scene.field(name, key))) for key in fields}
+        found.append(material.model_copy(update=update))
+    return found
 
 
 def _free_name(scene: Scene) -> str:
