@@ -10,15 +10,17 @@ import pytest
 from learning_scenes import speckle
 from worlds import BRICK, SOIL, box, ground, mesh_of, plate, scene_of, view
 
+from warpsar.diagnosis.command import run
 from warpsar.diagnosis.geometry.base.change import GeometryCandidate
 from warpsar.diagnosis.geometry.missing_object import _worth_a_fit, proposed
 from warpsar.diagnosis.models.projection import pixel_of
-from warpsar.diagnosis.proposals import shapes
+from warpsar.diagnosis.proposals import bodies, shapes
 from warpsar.diagnosis.proposals.bodies import _materials as starts
 from warpsar.diagnosis.proposals.bodies import sound
 from warpsar.diagnosis.proposals.fit import Standing, TrialGround
 from warpsar.diagnosis.proposals.left_out import explained
 from warpsar.diagnosis.proposals.places import BodyPlace, Looked, Ratios, free_ground
+from warpsar.diagnosis.proposals.shapes import TrialBody
 from warpsar.differentiable.geometry import exact_images
 from warpsar.runtime import devices
 from warpsar.scene.placing import with_objects
@@ -193,6 +195,29 @@ def test_a_body_has_one_number_where_the_ground_has_a_field(learn: tuple[str, ..
     assert isinstance(trial.settled(scene, most=1).scene.materials["it"].eps_r, float)
 
 
+@pytest.mark.parametrize(
+    ("model", "free"),
+    [
+        ({"model": "facet"}, ("level",)),
+        ({"model": "oh", "eps_r": 8.0, "rms_height_m": 0.005}, ("eps_r", "rms_height_m")),
+        ({**SOIL, "model": "two_scale"}, ("eps_r", "rms_height_m", "correlation_length_m")),
+    ],
+    ids=["facet", "oh", "two_scale"],
+)
+def test_a_body_has_the_numbers_of_its_model(model: dict[str, Any], free: tuple[str, ...], tmp_path: Path) -> None:
+    """A box of the ground's material: what is free is what its model has, and each number counts."""
+    if model["model"] == "facet":
+        table = tmp_path / "sigma0.csv"
+        table.write_text("incidence_deg,HH\n20,-8\n40,-12\n60,-16\n")
+        model = {**model, "sigma0": table}
+    bare = measured(plain(24), (), seed=3)
+    scene = replace(bare, materials={**bare.materials, "ground": Material(**model)})
+    trial = TrialGround.of(scene, CPU, None, "gamma")
+    found = bodies._fitted(trial, TrialBody(BOX, 6), starts(trial)[0], 1)
+    assert found.standing.scene.materials["it"].learn == free
+    assert found.numbers == 6 + len(free)
+
+
 class _Model:
     """Modelled power of one image, in the place of `Standing`."""
 
@@ -269,6 +294,24 @@ def test_its_scene_simulates_and_learns(found_box: tuple[Scene, list[GeometryCan
     for name, image in exact_images(again, CPU).items():
         error = np.linalg.norm(image["HH"] - truth[name]["HH"]) / np.linalg.norm(truth[name]["HH"])
         assert error < 0.1
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("ground_has", ["a map", "a loss"])
+def test_a_box_is_named_on_other_grounds(ground_has: str, tmp_path: Path) -> None:
+    """A map has no place on a body, and a loss is no number that is learned: the box has numbers of its own."""
+    bare = plain(40)
+    soil = Material(**{**SOIL, "eps_r": (20.0, -6.0)})
+    if ground_has == "a map":
+        eps = np.linspace(4.0, 12.0, 12, dtype=np.float32).reshape(3, 4)
+        soil = Material(**SOIL, layout="texture").model_copy(update={"eps_r": Pixels(eps), "learn": ("rms_height_m",)})
+        bare = replace(bare, mesh=replace(bare.mesh, uv=(bare.mesh.vertices[:, :2] / 36.0 + 0.5).astype(np.float32)))
+    bare = replace(bare, materials={**bare.materials, "ground": soil})
+    measured(bare, (BOX,), seed=3).save(tmp_path / "scene.toml")
+    content = run(tmp_path / "scene.toml", tmp_path / "out", device="cpu")
+    assert (content["verdict"], content["unexplained"]) == (["missing_object"], False)
+    (own,) = content["objects"].values()
+    np.testing.assert_allclose(own["size_m"], BOX.size_m, rtol=0.2)  # as `test_a_box_is_found`
 
 
 @pytest.mark.full

@@ -13,7 +13,7 @@ from warpsar.diagnosis.found import Diagnosis
 from warpsar.diagnosis.geometry.registry import body_changes
 from warpsar.learning.identify import Identified
 from warpsar.learning.pose_search import sd_key
-from warpsar.surface.surface import KINDS
+from warpsar.surface.surface import kinds_of
 
 
 def own_materials(diagnosis: Diagnosis, identified: Identified) -> dict[str, dict[str, dict[str, float]]]:
@@ -23,12 +23,16 @@ def own_materials(diagnosis: Diagnosis, identified: Identified) -> dict[str, dic
     """
     sds = dict(zip(identified.labels, identified.sd.tolist(), strict=True))
     content: dict[str, dict[str, dict[str, float]]] = {}
+    parameters = diagnosis.final.scene.parameters
     for name, material in diagnosis.final.scene.materials.items():
         if name in diagnosis.scene.materials:
             continue
         content[name] = {
-            kind.key: {"after": float(getattr(material, kind.key)), "after_sd_log": sds[f"{name}.{kind.key}"]}
-            for kind in KINDS
+            kind.key: {
+                "after": float(parameters[f"materials.{name}.{kind.key}"].value),
+                "after_sd_log": sds[f"{name}.{kind.key}"],
+            }
+            for kind in kinds_of(material.model)
             if f"{name}.{kind.key}" in sds
         }
     return content

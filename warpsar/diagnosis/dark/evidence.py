@@ -15,6 +15,7 @@ from warpsar.effects.registry import get, names
 from warpsar.scene.scene import Scene
 
 DARK_PIXELS = 50  # fewer dark pixels than this say nothing
+_FITTED = ("testable", "not_testable")  # where something that lit pixels do not see asks for it
 SILENT_SHARE = 0.01  # of the dark pixels that may measure exactly 0 under a floor
 
 
@@ -71,11 +72,14 @@ class Dark:
         return table if placed is None else placed
 
 
-def worth_a_refit(candidates: Sequence[Candidate], threshold: float, dark: Dark) -> list[Candidate]:
+def worth_a_refit(
+    candidates: Sequence[Candidate], threshold: float, dark: Dark, shadows: bool = False
+) -> list[Candidate]:
     """Candidates worth a refit, best first.
 
     Power in the dark needs an effect that puts it there, whatever the lit pixels say, and though the surface can
     imitate it there: dark pixels test it by themselves. A floor is ruled out where many of them measure exactly 0.
+    Where `shadows` measure power, a change of the geometry may explain it as well: such an effect is fitted beside.
     """
     order = sorted(candidates, key=lambda c: -c.minus_log_p)
     found = [c for c in order if c.testability == "testable" and c.minus_log_p > threshold]
@@ -86,11 +90,21 @@ def worth_a_refit(candidates: Sequence[Candidate], threshold: float, dark: Dark)
                 candidate.note = candidate.refused
         order, found = ([c for c in some if not get(c.effect).is_floor] for some in (order, found))
     if dark.asks:
-        tested = {"testable", "not_testable"} if dark.everywhere else {"testable"}
+        tested = _FITTED if dark.everywhere else ("testable",)
         able = [c for c in order if c.testability in tested and dark.answered_by(c.effect)]
         for candidate in able:
-            if candidate.testability == "not_testable":
-                candidate.testability, candidate.statistic = "testable", 0.0
-            candidate.note = f"{dark.unexplained} of {dark.pixels} dark pixels measure power that the model has not"
+            _tested(candidate, f"{dark.unexplained} of {dark.pixels} dark pixels measure power that the model has not")
         found = able + [c for c in found if c not in able]
+    elif shadows:
+        for candidate in order:
+            if candidate not in found and candidate.testability in _FITTED and get(candidate.effect).additive:
+                _tested(candidate, "shadows measure power that the model has not")
+                found.append(candidate)
     return found
+
+
+def _tested(candidate: Candidate, why: str) -> None:
+    """Let a candidate be fitted, though lit pixels may not tell it from the surface."""
+    if candidate.testability == "not_testable":
+        candidate.testability, candidate.statistic = "testable", 0.0
+    candidate.note = why

@@ -99,7 +99,9 @@ def content(declared: Scene, scene: Scene) -> dict[str, Any] | None:
         "sensor": {key: value for each in sensor_changes() for key, value in each.state(scene).items()},
         "objects": [_plain(one) for one in scene.objects],
         "removed": removed_groups(scene),
-        "materials": {name: table.model_dump(mode="json", exclude_unset=True) for name, table in new.items()},
+        "materials": {
+            name: table.model_dump(mode="json", exclude_unset=True, warnings=False) for name, table in new.items()
+        },
     }
 
 

@@ -83,7 +83,8 @@ def content_of(result: HeldOut) -> dict[str, Any]:
         },
         "effects": dict(without_aims(result.final).effects),
         "materials": {
-            name: one.model_dump(exclude_unset=True, mode="json") for name, one in result.final.materials.items()
+            name: one.model_dump(exclude_unset=True, mode="json", warnings=False)
+            for name, one in result.final.materials.items()
         },
     }
 

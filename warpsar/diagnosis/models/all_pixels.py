@@ -13,10 +13,11 @@ import numpy as np
 from scipy.ndimage import minimum_filter, uniform_filter
 
 from warpsar.compare.observation import TRACE, Observation, usable_pixels
+from warpsar.diagnosis.dark.evidence import DARK_PIXELS
 from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.left_out import column_blocks
 from warpsar.diagnosis.models.movable import standing
-from warpsar.diagnosis.models.refit import BOUND, Fitted
+from warpsar.diagnosis.models.refit import BOUND, Fitted, refit_as
 from warpsar.learning.pose import FLAT, Descended, PosedProblem, descend
 from warpsar.learning.pose_pixels import FLOOR_SHARE, blurred, compared
 from warpsar.runtime import once
@@ -49,18 +50,19 @@ def log_likelihood(setup: FitSetup, fitted: Fitted, blur_m: float = 0.0) -> floa
     return float(once.decide(total))
 
 
-def lit_shadows(fitted: Fitted) -> bool:
+def lit_shadows(fitted: Fitted, far: bool = False) -> bool:
     """Whether a shadow of the model is none: 3 x 3 pixels that it does not light, nor their neighbours, measure more
     than it has there by a trace of the lit pixels' median, on average, and by more than the speckle of what it has.
 
-    These pixels belong to no scan: a blur reaches them, and pixels farther than six from anything lit are dark ones.
+    These pixels belong to no scan: a blur reaches them. Pixels farther than six from anything lit are dark ones, which
+    have tests of their own; `far`: count them, too.
     """
     gains = iter(fitted.problem.gains(fitted.problem.modelled(fitted.x)))
     for view in fitted.problem.views:
         for seen in view.observations:
             image = float(next(gains)) * view.render.images[seen.polarization].numpy().reshape(seen.interior.shape)
-            unlit = minimum_filter((~view.render.lit(seen.polarization)).astype(np.uint8), size=3) > 0
-            unlit &= usable_pixels(fitted.scene, seen.view, seen.measured) & ~seen.dark
+            unlit = _shadow(fitted, view.render.lit(seen.polarization), seen)
+            unlit &= far | ~seen.dark
             whole = minimum_filter(unlit.astype(np.uint8), size=3, mode="constant") > 0
             more, has = (
                 uniform_filter(np.where(unlit, each, 0.0), size=3, mode="constant")
@@ -69,6 +71,32 @@ def lit_shadows(fitted: Fitted) -> bool:
             if (more > TRACE * np.median(seen.values) + SPECKLED / np.sqrt(seen.looks) * has)[whole].any():
                 return True
     return False
+
+
+def with_shadows(setup: FitSetup, fitted: Fitted) -> tuple[FitSetup, Fitted]:
+    """All of a model's shadows in the place of dark pixels, where too few pixels are far from anything lit; and the
+    model fitted to these, too.
+
+    What adds power shows in shadows above all. Its level in the light is a surface's as well, so that lit pixels alone
+    leave it open. Near what is lit a blur adds power, too: with far pixels there is no need for the near ones.
+    """
+    if sum(int(seen.dark.sum()) for found in setup.observations.values() for seen in found) >= DARK_PIXELS:
+        return setup, fitted
+    fitted.problem.modelled(fitted.x)
+    observations: dict[str, list[Observation]] = {}
+    for view in fitted.problem.views:
+        for seen in setup.observations[view.view.name]:
+            lit = view.render.lit(seen.polarization)
+            dark = once.decide(_shadow(fitted, lit, seen) & ~seen.interior & ~seen.silent) > 0
+            observations.setdefault(view.view.name, []).append(replace(seen, dark=seen.dark | dark))
+    made = replace(setup, observations=observations)
+    return made, refit_as(replace(made, bound=fitted.problem.misfit.bound), fitted.scene)
+
+
+def _shadow(fitted: Fitted, lit: np.ndarray, seen: Observation) -> np.ndarray:
+    """Usable pixels of an image that the model does not light, nor their neighbours, (rows, cols) bool."""
+    unlit = minimum_filter((~lit).astype(np.uint8), size=3) > 0
+    return np.asarray(unlit & usable_pixels(fitted.scene, seen.view, seen.measured))
 
 
 @dataclass(frozen=True)

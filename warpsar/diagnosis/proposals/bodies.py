@@ -12,6 +12,7 @@ from warpsar.diagnosis.proposals.fit import Standing, TrialGround, alone
 from warpsar.diagnosis.proposals.left_out import explained
 from warpsar.diagnosis.proposals.places import BodyPlace
 from warpsar.diagnosis.proposals.shapes import TrialBody
+from warpsar.models import registry
 from warpsar.scene.scene import Scene
 from warpsar.world.pixels import Pixels
 from warpsar.world.tables import SURFACE_KEYS, Material
@@ -38,7 +39,7 @@ class Tried:
     def numbers(self) -> int:
         """How many are free: of pose and size, and of a material of its own."""
         one = self.standing.scene.objects[-1]
-        return self.shape.numbers + (len(self.shape.learn) if one.material == one.name else 0)
+        return self.shape.numbers + (len(_own(self).learn) if one.material == one.name else 0)
 
     @property
     def is_point(self) -> bool:
@@ -114,14 +115,14 @@ def _rounded(ground: TrialGround, tried: Tried) -> list[Tried]:
 
 
 def _of_known_materials(ground: TrialGround, tried: Tried) -> list[Tried]:
-    """The same body, of one of the scene's own materials."""
+    """The same body, of one of the scene's own materials that are no fields."""
     bodies = []
-    for name in ground.scene.materials:
+    for name in (name for name, one in ground.scene.materials.items() if not _fields(one)):
         table = tried.standing.scene.objects[-1].model_copy(update={"material": name})
         scene = alone(ground.holding(table))
         bodies.append(Tried(tried.shape, _as_it_stands(ground, scene)))
-    best = min(bodies, key=lambda one: one.standing.loss)
-    return [_again(ground, best)]
+    best = min(bodies, key=lambda one: one.standing.loss, default=None)
+    return [] if best is None else [_again(ground, best)]
 
 
 def _as_it_stands(ground: TrialGround, scene: Scene, blur_m: float = 0.0) -> Standing:
@@ -130,7 +131,14 @@ def _as_it_stands(ground: TrialGround, scene: Scene, blur_m: float = 0.0) -> Sta
 
 
 def _with(ground: TrialGround, shape: TrialBody, material: Material) -> Scene:
-    return alone(ground.holding(shape.table, material.model_copy(update={"learn": shape.learn})))
+    return alone(ground.holding(shape.table, material.model_copy(update={"learn": _free(shape, material)})))
+
+
+def _free(shape: TrialBody, material: Material) -> tuple[str, ...]:
+    """What is free of a body's material: what the shape names, as far as the model has it, else the model's own; of a
+    table its level alone."""
+    has = registry.get(material.model).keys
+    return tuple(key for key in shape.learn if key in has) or has
 
 
 def _tidied(ground: TrialGround, scene: Scene) -> Scene:
@@ -147,11 +155,15 @@ def _materials(ground: TrialGround) -> list[Material]:
     """Starts for a material: the scene's own, without what is known of them. Of a field a body gets the median."""
     scene, found = ground.scene, list[Material]()
     for name, material in scene.materials.items():
-        fields = [key for key in SURFACE_KEYS if isinstance(getattr(material, key), str | Pixels)]
         update: dict[str, Any] = {"tolerance": {}, "layout": "uniform"}
-        update |= {key: float(np.median(scene.field(name, key))) for key in fields}
+        update |= {key: float(np.median(scene.field(name, key))) for key in _fields(material)}
         found.append(material.model_copy(update=update))
     return found
+
+
+def _fields(material: Material) -> list[str]:
+    """The values that are maps, or scalars of the mesh's vertices."""
+    return [key for key in SURFACE_KEYS if isinstance(getattr(material, key), str | Pixels)]
 
 
 def _free_name(scene: Scene) -> str:

@@ -23,7 +23,7 @@ POINT_PX = 1.0  # diameter of a point reflector, in pixels
 @dataclass(frozen=True)
 class TrialBody:
     """An object as it is tried. `numbers`: how many of its pose and size are free. `learn`: what is, of its material,
-    where that is its own."""
+    where that is its own and its model has it."""
 
     table: Object
     numbers: int

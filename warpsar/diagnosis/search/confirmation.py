@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 from warpsar.diagnosis.found import Confirmed
 from warpsar.diagnosis.geometry.registry import is_geometry
+from warpsar.diagnosis.models.all_pixels import lit_shadows
 from warpsar.diagnosis.models.carried import Carried, carried_over
 from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.left_out import ViewsLeftOut, leave_one_view_out
@@ -47,7 +48,8 @@ def confirm(
     """Which of the `added` effects, and changes of the geometry, hold.
 
     A parameter costs `price` of 2 ln L. `needed` says of a model without an effect whether the dark pixels ask it for
-    that effect: such an effect stays, whatever it gains in the light, unless its own test speaks against it. `quiet`:
+    that effect: such an effect stays, whatever it gains in the light, unless its own test speaks against it. So does
+    one that adds power without which shadows have too little, and with which none has. `quiet`:
     whether the scan finds nothing beside them. Where a change of geometry is taken back, other pixels are lit, and
     nothing more is asked on these. `declared`: the scene that geometry is compared with; by default the model's own.
     """
@@ -56,7 +58,8 @@ def confirm(
     while True:
         left = [name for name in added if is_geometry(name) or name in fitted.scene.effects]
         without = {name: _without(setup, fitted, scene, name) for name in left}
-        dark = {name for name in left if not is_geometry(name) and get(name).additive and needed(without[name], name)}
+        additive = [name for name in left if not is_geometry(name) and get(name).additive]
+        dark = {name for name in additive if needed(without[name], name) or _fills_shadows(fitted, without[name])}
         asked = {
             name: asked_of(setup, fitted, without[name], scene, name)
             if is_geometry(name)
@@ -91,6 +94,11 @@ def _without(setup: FitSetup, fitted: Fitted, declared: Scene, name: str) -> Fit
     if is_geometry(name):
         return taken_back(setup, fitted, declared, name)
     return refit_without(setup, fitted, name)
+
+
+def _fills_shadows(fitted: Fitted, without: Fitted) -> bool:
+    """Whether shadows measure power that only the model with the effect has."""
+    return bool(once.decide(float(lit_shadows(without, far=True) and not lit_shadows(fitted, far=True))))
 
 
 def _gained(fitted: Fitted, without: Fitted, name: str) -> Confirmed:

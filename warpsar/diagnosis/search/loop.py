@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from warpsar.diagnosis.dark.evidence import Dark, worth_a_refit
 from warpsar.diagnosis.found import Candidate, DiagnoseOptions, EffectRival, Turn
 from warpsar.diagnosis.geometry.base.change import Hypothesis, Section
 from warpsar.diagnosis.geometry.registry import changes, is_geometry, of
-from warpsar.diagnosis.models.all_pixels import lit_shadows
+from warpsar.diagnosis.models.all_pixels import lit_shadows, log_likelihood, with_shadows
 from warpsar.diagnosis.models.effect_gain import EffectGain
 from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.judge import Judge
@@ -26,7 +27,7 @@ from warpsar.diagnosis.scores.templates import Template
 from warpsar.diagnosis.search.confirmation import NOT_ELSEWHERE, Confirmation, confirm
 from warpsar.diagnosis.search.outcome import confirmation_lines, score_text, turn_lines
 from warpsar.diagnosis.search.record import SearchRecord
-from warpsar.diagnosis.turn.addition import TOO_LITTLE, add_the_best
+from warpsar.diagnosis.turn.addition import TOO_LITTLE, add_the_best, of_lit_pixels
 from warpsar.diagnosis.turn.geometry_search import geometry_candidates, screened_bodies, worth_fits
 from warpsar.diagnosis.turn.geometry_trial import add_the_likeliest, on_its_ground, posed_anew, with_all_anew
 from warpsar.diagnosis.turn.pruning import prune, resettled, trimmed, with_smaller
@@ -217,6 +218,8 @@ class Search:
                 self._setup, self._base = on_its_ground(self._setup, self._other, turn.fitted)
             else:
                 self._setup, self._base = narrow(self._setup, self._other, turn.fitted)
+            if any(not is_geometry(name) and get(name).additive for name in self._added(self._base)):
+                self._setup, self._base = with_shadows(self._setup, self._base)
 
     def _turn(self) -> Turn:
         """Score every effect that is not in the model, fit the best, and add the likeliest. Drop those of earlier turns
@@ -224,7 +227,8 @@ class Search:
         number, options = len(self.turns), self.options
         turn, setup, here, evidence, templates = self._scored()
         dark = Dark.of(here)
-        passing = worth_a_refit(turn.candidates, turn.threshold, dark)
+        shadows = options.bodies and not dark.asks and bool(once.decide(float(lit_shadows(here))))
+        passing = worth_a_refit(turn.candidates, turn.threshold, dark, shadows)
         _say(turn, number, passing)
         allowed = [c for c in passing if c.effect not in self._barred and self._times[c.effect] < CHANCES]
         if dark.asks and not any(dark.answered_by(c.effect) for c in allowed):
@@ -233,18 +237,23 @@ class Search:
             price = evidence.price()
             # geometry puts no power where nothing is lit: what the dark pixels need is added first
             geometry = options.bodies and not dark.asks
-            alarm = bool(passing or turn.alarms) or bool(once.decide(float(geometry and self._displaced(here))))
+            alarm = bool(passing or turn.alarms or shadows)
+            alarm = alarm or bool(once.decide(float(geometry and self._edges_disagree())))
             sensor, shifts = screened_sensor(self.scene, setup, here) if geometry else ([], 0.0)
             bodies = screened_bodies(self.scene, setup, here, alarm=alarm) if geometry else []
             if not alarm and not _promising([*sensor, *bodies], evidence.area, turn.threshold):
                 sensor, bodies, geometry = [], [], geometry and self._has_moved
             foretold = max([0.0, *(one.foretold for one in [*sensor, *bodies])])
             if 2.0 * foretold > FAR_AHEAD * max((c.statistic for c in allowed), default=0.0):
-                allowed = _beside_geometry(allowed, foretold, shifts)
-            for some in [allowed] if dark.asks else by_rank(allowed):
+                allowed = _beside_geometry(allowed, foretold, shifts, shadows)
+            most, compared = options.refits, of_lit_pixels
+            if shadows:  # which no glance at lit pixels sees
+                allowed = sorted(allowed, key=lambda c: not get(c.effect).additive)
+                most, compared = len(allowed), partial(log_likelihood, setup)
+            for some in [allowed] if dark.asks or shadows else by_rank(allowed):
                 if turn.added is None:
-                    found = refits(setup, here, self.scene, some, templates, dark, options.refits)
-                    add_the_best(setup, turn, here, found, dark, price)
+                    found = refits(setup, here, self.scene, some, templates, dark, most)
+                    add_the_best(setup, turn, here, found, dark, price, compared)
             if geometry:
                 setup = self._with_geometry(setup, turn, here, sensor, bodies, price)
                 setup = with_all_anew(setup, turn, self.scene)
@@ -271,10 +280,9 @@ class Search:
         pixels may be blind to a body of few."""
         return bool(self.turns) and self.turns[-1].added is not None and is_geometry(self.turns[-1].added)
 
-    def _displaced(self, here: Fitted) -> bool:
-        """Whether a shadow of the model is none, or edges do not agree with the images: no scan looks at either."""
-        of_base = self._judge(self._base.scene, "train")
-        return lit_shadows(here) or "edges" in self._judge.judgement(of_base).findings
+    def _edges_disagree(self) -> bool:
+        """Whether edges do not agree with the images: as at shadows, no scan looks there."""
+        return "edges" in self._judge.judgement(self._judge(self._base.scene, "train")).findings
 
     def _with_geometry(
         self,
@@ -376,12 +384,13 @@ def needed(without: Fitted, name: str) -> bool:
     return dark.asks and dark.answered_by(name)
 
 
-def _beside_geometry(allowed: Sequence[Candidate], foretold: float, shifts: float) -> list[Candidate]:
+def _beside_geometry(allowed: Sequence[Candidate], foretold: float, shifts: float, shadows: bool) -> list[Candidate]:
     """The effects that are fitted in a turn in which a change of geometry is `foretold` far more: the likeliest ones,
     as a score is no gain and may be far below it, and those that shift images, if `shifts` may gain as much.
 
     Paths over several surfaces may be a thousand times the model's power. A score bounds what a pixel tells, so theirs
-    is the farthest below their gain, and what they put into an image looks like a body of another size.
+    is the farthest below their gain, and what they put into an image looks like a body of another size. No score looks
+    at `shadows` that measure power: an effect that adds power may gain there what a body that is absent does.
     """
     near = NEAR_BEST * max((c.minus_log_p for c in allowed), default=0.0)
     found = []
@@ -389,6 +398,8 @@ def _beside_geometry(allowed: Sequence[Candidate], foretold: float, shifts: floa
         effect = get(candidate.effect)
         if effect.stage == "position":
             worth = shifts >= NEAR_BEST * foretold
+        elif shadows and effect.additive:
+            worth = True
         else:
             enough = effect.follows_rays or candidate.statistic >= FAR_BELOW * 2.0 * foretold
             worth = enough and candidate.minus_log_p >= near

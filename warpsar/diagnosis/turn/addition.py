@@ -6,7 +6,7 @@ Asked here, an effect would have to help while others are still missing, and the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -26,16 +26,33 @@ TOO_LITTLE = "it gains less than its parameters cost"
 NEEDED = "no model without such an effect can hold that, so nothing else was asked"
 
 
-def add_the_best(setup: FitSetup, turn: Turn, here: Fitted, refits: Sequence[Refit], dark: Dark, price: float) -> None:
+LogLikelihood = Callable[[Fitted], float]
+
+
+def of_lit_pixels(fitted: Fitted) -> float:
+    """`Fitted.log_likelihood`, by which candidates are compared where no shadow speaks."""
+    return fitted.log_likelihood
+
+
+def add_the_best(
+    setup: FitSetup,
+    turn: Turn,
+    here: Fitted,
+    refits: Sequence[Refit],
+    dark: Dark,
+    price: float,
+    of: LogLikelihood = of_lit_pixels,
+) -> None:
     """Fill in `turn.added` and `turn.fitted`, or leave them None where no fit is worth its parameters.
 
-    `here` is the turn's model on `setup`, without any candidate. A parameter costs `price` of 2 ln L.
+    `here` is the turn's model on `setup`, without any candidate. A parameter costs `price` of 2 ln L. `of`: which
+    pixels compare the candidates.
     """
     for refit in refits:
-        _gained(refit.candidate, here, refit.fitted)
+        _gained(refit.candidate, here, refit.fitted, of)
     if not dark.asks:
         ahead = sorted(refits, key=lambda refit: -_worth(refit, price))
-        refits = [*_arrived(setup, here, ahead[:CONTENDERS], price), *ahead[CONTENDERS:]]
+        refits = [*_arrived(setup, here, ahead[:CONTENDERS], price, of), *ahead[CONTENDERS:]]
     able = [refit for refit in refits if dark.asks or _worth(refit, price) > 0]
     for refit in refits:
         refit.candidate.refused = "" if refit in able else TOO_LITTLE
@@ -45,7 +62,7 @@ def add_the_best(setup: FitSetup, turn: Turn, here: Fitted, refits: Sequence[Ref
         best = max(able, key=lambda refit: refit.fitted.whole)
         best.candidate.remark(NEEDED)
         turn.fitted = once.alone(partial(refined, setup, best.fitted, best.candidate.effect, best.tables, dark))
-        _gained(best.candidate, here, turn.fitted)
+        _gained(best.candidate, here, turn.fitted, of)
     else:
         best = max(able, key=lambda refit: _worth(refit, price))
         turn.fitted = best.fitted
@@ -55,14 +72,16 @@ def add_the_best(setup: FitSetup, turn: Turn, here: Fitted, refits: Sequence[Ref
             refit.candidate.refused = f"the dark pixels need {turn.added}" if dark.asks else f"{turn.added} is likelier"
 
 
-def _arrived(setup: FitSetup, here: Fitted, ahead: Sequence[Refit], price: float) -> list[Refit]:
+def _arrived(setup: FitSetup, here: Fitted, ahead: Sequence[Refit], price: float, of: LogLikelihood) -> list[Refit]:
     """The fits of those `ahead` to their ends: at the same number of iterations one is nearer to its own than another.
 
-    The first one goes first. Another is given up where it cannot come up with it at its present pace.
+    The first one goes first. Another is given up where it cannot come up with it at its present pace, if lit pixels
+    compare them: what a fit has reached of these says nothing of others.
     """
     found: list[Refit] = []
     for some in (ahead[:1], ahead[1:]):
-        limits = [_level(found[0], refit, price) if found else -np.inf for refit in some]
+        limited = bool(found) and of is of_lit_pixels
+        limits = [_level(found[0], refit, price) if limited else -np.inf for refit in some]
         problems = [setup.problem(refit.fitted.scene) for refit in some]
         tasks = [
             partial(onward, problem, standing_at(problem, problem.x0), MOST_ITERATIONS, limit, flat=FLAT)
@@ -72,7 +91,7 @@ def _arrived(setup: FitSetup, here: Fitted, ahead: Sequence[Refit], price: float
         for refit, problem, state in zip(some, problems, states, strict=True):
             best = state.best_x, state.best_loss, state.iteration
             found.append(replace(refit, fitted=fitted_at(setup, problem, *best)))
-            _gained(refit.candidate, here, found[-1].fitted)
+            _gained(refit.candidate, here, found[-1].fitted, of)
     return found
 
 
@@ -82,8 +101,8 @@ def _level(first: Refit, other: Refit, price: float) -> float:
     return lit + other.fitted.whole - other.fitted.log_likelihood  # dark pixels cost it what they cost it now
 
 
-def _gained(candidate: Candidate, here: Fitted, fitted: Fitted) -> None:
-    candidate.refit_gain = 2.0 * (fitted.log_likelihood - here.log_likelihood)
+def _gained(candidate: Candidate, here: Fitted, fitted: Fitted, of: LogLikelihood) -> None:
+    candidate.refit_gain = 2.0 * (of(fitted) - of(here))
     candidate.refit_size = fitted.size - here.size
     candidate.table = fitted.scene.effects[candidate.effect]
 
