@@ -51,7 +51,7 @@ def geometry_candidates(
     """
 
     def run() -> list[GeometryCandidate]:
-        moved = moved_or_absent(declared, setup, here, screened, price, effect_gain)
+        moved = body_candidates(declared, setup, here, screened, price, effect_gain)
         most = max([effect_gain.sharp, *(one.gain for one in [*sensor, *moved])])
         kinds = map(get, names())
         return [*moved, *(one for kind in kinds for one in kind.proposed(setup, here, price, FAR_BEHIND * most))]
@@ -65,7 +65,7 @@ def of_the_first(declared: Scene, here: Fitted, found: list[GeometryCandidate]) 
     return [replace(one, scene=still(scene_with(declared, here.scene, scene))) for scene, one in first]
 
 
-def moved_or_absent(
+def body_candidates(
     declared: Scene, setup: FitSetup, here: Fitted, screened: list[Hypothesis], price: float, effect_gain: EffectGain
 ) -> list[GeometryCandidate]:
     """The bodies that stand elsewhere, are of another size, or are not there, most likely.
