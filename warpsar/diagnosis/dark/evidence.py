@@ -8,13 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from warpsar.diagnosis.dark.pixels import dark_pixels, impossible
+from warpsar.diagnosis.dark.pixels import DARK_PIXELS, dark_pixels, impossible
 from warpsar.diagnosis.found import Candidate
 from warpsar.diagnosis.models.refit import Fitted
 from warpsar.effects.registry import get, names
 from warpsar.scene.scene import Scene
 
-DARK_PIXELS = 50  # fewer dark pixels than this say nothing
 _FITTED = ("testable", "not_testable")  # where something that lit pixels do not see asks for it
 SILENT_SHARE = 0.01  # of the dark pixels that may measure exactly 0 under a floor
 

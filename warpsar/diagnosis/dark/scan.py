@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from warpsar.diagnosis.dark.evidence import DARK_PIXELS
-from warpsar.diagnosis.dark.pixels import DarkPixels, dark_pixels
+from warpsar.diagnosis.dark.pixels import DARK_PIXELS, DarkPixels, dark_pixels
 from warpsar.diagnosis.found import DarkScan
 from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.refit import Fitted
