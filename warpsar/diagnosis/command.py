@@ -105,6 +105,8 @@ def run(
                 console.say(f"{role} views: {one.words}")
         if done.open_surface:
             console.say(done.open_surface)
+        for doubt in done.doubts:
+            console.say(f"{doubt}: such values mean little")
         console.say_written(out, "report.html", "diagnosis.json", "scene.toml")
         print("; ".join([*(one.words for one in phases if one.named), in_short(done)]), file=sys.stdout)
         return content

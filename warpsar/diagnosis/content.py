@@ -40,6 +40,7 @@ def content_of(
         "not_established": done.not_established,
         "unexplained": done.unexplained,
         "reasons": done.reasons,
+        "doubts": done.doubts,
         "judgement": {role: one.content() for role, one in done.verdicts.items()},
         "own_numbers_fitted_to_test_views": done.own_numbers,
         "foretold_test_views": None if done.foretold is None else done.foretold.content(),

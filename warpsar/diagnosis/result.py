@@ -30,6 +30,7 @@ from warpsar.diagnosis.search.geometry_confirmation import taken_back
 from warpsar.diagnosis.search.procedure import diagnose_scene
 from warpsar.effects.registry import get
 from warpsar.errors import refuse_kind
+from warpsar.learning.trust import doubts, outside_domains
 from warpsar.runtime import devices, once
 from warpsar.scene.scene import Scene, scene_or_file
 from warpsar.speckle.covariance import correlated
@@ -82,7 +83,8 @@ class Diagnosed:
     both. `reasons`: what speaks against an all-clear, a sentence each.
     `place`: the strongest window of what is left at the end; `left`: what is left altogether. `alternatives`: rivals
     that the data do not decide against, and which measurement would. `not_established`: names of the final model that
-    are not earned, and why.
+    are not earned, and why. `doubts`: why values of surfaces and effects mean little, whatever the images say: they lie
+    on bounds, or outside the domain of their model.
     """
 
     diagnosis: Diagnosis
@@ -96,6 +98,7 @@ class Diagnosed:
     left: Left
     alternatives: list[tuple[EffectRival, Deciding]] = field(default_factory=list)
     not_established: dict[str, str] = field(default_factory=dict)
+    doubts: list[str] = field(default_factory=list)
 
     def __repr__(self) -> str:
         names = ", ".join(self.verdict) or "nothing missing"
@@ -208,8 +211,10 @@ def judged(diagnosis: Diagnosis) -> Diagnosed:
     where = place(diagnosis, last, spot)
     left = left_of(diagnosis, last, spot, bool(reasons))
     own_numbers = own is not judge_of(fitted, "test")
+    problem, x = diagnosis.final.problem, diagnosis.final.x
+    little = doubts(problem, x, {}, outside_domains(problem, x))
     return Diagnosed(
-        diagnosis, models, speckle, verdicts, reasons, own_numbers, foretold, where, left, alternatives, doubted
+        diagnosis, models, speckle, verdicts, reasons, own_numbers, foretold, where, left, alternatives, doubted, little
     )
 
 

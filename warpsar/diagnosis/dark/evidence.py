@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from warpsar.diagnosis.dark.pixels import DARK_PIXELS, dark_pixels, impossible
+from warpsar.diagnosis.dark.pixels import dark_pixels, impossible
 from warpsar.diagnosis.found import Candidate
+from warpsar.diagnosis.models.fit_setup import DARK_PIXELS
 from warpsar.diagnosis.models.refit import Fitted
 from warpsar.effects.registry import get, names
 from warpsar.scene.scene import Scene

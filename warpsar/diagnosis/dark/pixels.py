@@ -14,7 +14,6 @@ from warpsar.diagnosis.scores.evidence import LARGEST
 from warpsar.learning.problem import FitProblem
 from warpsar.speckle.law import Law
 
-DARK_PIXELS = 50  # fewer dark pixels than this say nothing
 NOTHING = 0.01
 EXPLAINED = 10.0  # times the modelled power: speckle and a response known to some dB scatter by less
 LEAST = 1e-6

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from warpsar.diagnosis.dark.pixels import DARK_PIXELS, DarkPixels, dark_pixels
+from warpsar.diagnosis.dark.pixels import DarkPixels, dark_pixels
 from warpsar.diagnosis.found import DarkScan
-from warpsar.diagnosis.models.fit_setup import FitSetup
+from warpsar.diagnosis.models.fit_setup import DARK_PIXELS, FitSetup
 from warpsar.diagnosis.models.refit import Fitted
 from warpsar.diagnosis.scores.evidence import LARGEST, Evidence
 from warpsar.simulation.rays import Rays

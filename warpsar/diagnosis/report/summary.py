@@ -61,6 +61,9 @@ def summary_section(done: Diagnosed, content: dict[str, Any]) -> str:
         )
     if any(image["looks_estimated"] for image in content["images"]):
         words.append(report.paragraph("The looks of the images were not declared; they were estimated."))
+    if done.doubts:
+        words.append(report.paragraph("Values that mean little, whatever they are:"))
+        words.append(report.bullets(done.doubts))
     if not diagnosis.scene.grid.calibrated:
         words.append(
             report.paragraph("The images are not calibrated: each has a gain of its own, fitted, on test views too.")
