@@ -456,17 +456,19 @@ def test_a_quiet_turn_asks_for_what_speckle_hardly_foretells(
 def test_effects_far_below_what_geometry_is_foretold_wait() -> None:
     """Of the shared cases: bounces score a tenth of what a body is foretold beside them, and less beside a blur, and
     are fitted; a smear of a wrong spacing scores a fiftieth. Shifts are fitted if all images are foretold to gain by
-    them."""
+    them. Where shadows measure power, what adds power is fitted whatever it scores."""
 
-    def names(shifts: float, **scores: float) -> list[str]:
+    def names(shifts: float, shadows: bool = False, **scores: float) -> list[str]:
         asked = [Candidate(name, "testable", statistic=one, minus_log_p=one / 2.0) for name, one in scores.items()]
-        return [one.effect for one in search._beside_geometry(asked, 5000.0, shifts)]
+        return [one.effect for one in search._beside_geometry(asked, 5000.0, shifts, shadows)]
 
     assert names(100.0, multibounce=1100.0, aim_point=900.0) == ["multibounce"]
     assert names(100.0, multibounce=300.0, aim_point=500.0) == ["multibounce"]
     assert names(100.0, multibounce=200.0, point_spread=500.0) == ["point_spread"]
     assert names(3000.0, multibounce=1100.0, aim_point=900.0) == ["multibounce", "aim_point"]
     assert names(100.0, unresolved_detail=248.0, saturation=30.0) == []
+    assert names(100.0, noise_floor=30.0, unresolved_detail=248.0) == []
+    assert names(100.0, shadows=True, noise_floor=30.0, unresolved_detail=248.0) == ["noise_floor"]
 
 
 @pytest.mark.full
