@@ -31,7 +31,8 @@ import runs
 import tables
 
 from warpsar.diagnosis.found import DiagnoseOptions
-from warpsar.diagnosis.models.change import is_geometry, without_object
+from warpsar.diagnosis.geometry.registry import is_geometry
+from warpsar.diagnosis.models.change import without_object
 from warpsar.diagnosis.result import diagnose
 from warpsar.diagnosis.search import loop as search
 from warpsar.effects.registry import get, names

@@ -25,7 +25,7 @@ import tables
 from objects_scenes import BODY, CAR, CPU, SIDES, measured, plain
 from objects_whole import WHOLE, whole_rows, whole_run
 
-from warpsar.diagnosis.proposals.search import proposed
+from warpsar.diagnosis.geometry.missing_object import proposed
 from warpsar.differentiable.geometry import exact_images
 from warpsar.learning.pose_search import find_poses, group_pose
 from warpsar.runtime import console

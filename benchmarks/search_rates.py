@@ -51,8 +51,8 @@ from judgement_rates import (
 
 from warpsar.diagnosis.command import in_short
 from warpsar.diagnosis.found import DiagnoseOptions
-from warpsar.diagnosis.models.change import SUMMARIES, changes
-from warpsar.diagnosis.models.sensor import ALL
+from warpsar.diagnosis.geometry.registry import changes, is_geometry
+from warpsar.diagnosis.geometry.view_angles import ALL
 from warpsar.diagnosis.result import Diagnosed, diagnose
 from warpsar.diagnosis.surface_moves import moved_parameters
 from warpsar.effects.registry import get
@@ -427,7 +427,7 @@ def one_run(number: int, device: str, minutes: float) -> dict[str, Any]:
         "correlated": correlated,
         "there": round(there, 1),
         "verdict": [
-            *(name for name in done.verdict if name not in SUMMARIES),
+            *(name for name in done.verdict if not is_geometry(name)),
             *(name for name in changes(scene, done.diagnosis.final.scene) if name not in done.not_established),
         ],
         "not_established": done.not_established,

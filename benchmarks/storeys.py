@@ -32,7 +32,7 @@ from search_rates import block, clean_images
 
 from warpsar.diagnosis.command import in_short
 from warpsar.diagnosis.found import DiagnoseOptions
-from warpsar.diagnosis.models.change import changes
+from warpsar.diagnosis.geometry.registry import changes
 from warpsar.diagnosis.result import diagnose
 from warpsar.runtime import devices
 from warpsar.scene.scene import Scene

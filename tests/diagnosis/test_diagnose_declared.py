@@ -14,9 +14,11 @@ from test_diagnose import saved
 from test_diagnose_geometry import HUT, QUICK, case, true_scene
 
 from warpsar.diagnosis.command import run
-from warpsar.diagnosis.models.change import GeometryCandidate, changes
-from warpsar.diagnosis.models.sensor import is_own_angle, sensor_changes, without_sensor
-from warpsar.diagnosis.turn.geometry_search import SAME_IMAGES, _one_reading
+from warpsar.diagnosis.geometry import object_pose, object_size
+from warpsar.diagnosis.geometry.base.change import GeometryCandidate
+from warpsar.diagnosis.geometry.object_size import SAME_IMAGES
+from warpsar.diagnosis.geometry.registry import changes, coordinates, of, without_change
+from warpsar.diagnosis.models.names import object_of
 from warpsar.diagnosis.turn.sensor_search import hypotheses
 from warpsar.parameters.at import at
 from warpsar.scene.scene import Scene
@@ -92,13 +94,16 @@ def test_changes_are_named_by_what_differs() -> None:
     assert changes(scene, true_scene(position_m=(0.5, 0.0, 0.0), **HIGHER)) == ["object_size hut"]
     turned = scene.with_values({"views.v1.azimuth_deg": 3.0, "image.azimuth_spacing_m": 0.52})
     names = ["view_angles v1", "pixel_spacing azimuth"]
-    assert list(sensor_changes(scene, turned)) == names
+    assert changes(scene, turned) == names
+    assert coordinates(scene, turned) == ["views.v1.azimuth_deg", "image.azimuth_spacing_m"]
     for name in names:
-        back = without_sensor(scene, turned, name)
-        assert list(sensor_changes(scene, back)) == [one for one in names if one != name]
+        back = without_change(scene, turned, name)
+        assert changes(scene, back) == [one for one in names if one != name]
     common = at(scene, {scene.parameters["views.azimuth_deg"]: 2.0})
-    assert list(sensor_changes(scene, common)) == ["view_angles all"]
-    assert [is_own_angle(name) for name in (*names, "view_angles all")] == [True, False, False]
+    assert changes(scene, common) == ["view_angles all"]
+    assert changes(scene, without_change(scene, common, "view_angles all")) == []
+    only = [of(name).only_view(object_of(name)) for name in (*names, "view_angles all", "object_pose hut")]
+    assert only == ["v1", None, None, None]
 
 
 @pytest.mark.unit
@@ -109,14 +114,14 @@ def test_whatever_is_offered_beside_a_turn_keeps_its_name(taken: str) -> None:
     turned = at(scene, {scene.parameters[taken]: scene.parameters[taken].value + 2.0})
     views: Any = [SimpleNamespace(view=view) for view in scene.views]
     here: Any = SimpleNamespace(scene=turned, problem=SimpleNamespace(views=views))
-    (first,) = sensor_changes(scene, turned)
+    (first,) = changes(scene, turned)
     offered = hypotheses(scene, here)
     assert {one.kind for one in offered} == {"view_angles", "pixel_spacing"}
     for one in offered:
         (key,) = one.parameters
         unit = 0.01 if one.kind == "pixel_spacing" else 1.0
         both = at(turned, {turned.parameters[key]: turned.parameters[key].value + unit})
-        assert set(sensor_changes(scene, both)) == {first, f"{one.kind} {one.label}"}
+        assert set(changes(scene, both)) == {first, one.name}
 
 
 @pytest.mark.unit
@@ -125,11 +130,13 @@ def test_two_readings_of_one_body_are_one_hypothesis() -> None:
     scene = true_scene()
     at_foot = {"position_m": [0.0, 0.0, -0.5]}
     size = GeometryCandidate("object_size", "hut", scene, 100.0, 3)
-    sunk = GeometryCandidate("object_pose", "hut", scene, 100.0 + 0.9 * SAME_IMAGES, 4, at_foot)
-    (one,) = _one_reading([sunk, size])
+    reading = object_pose.CHANGE.reading(at_foot)
+    sunk = GeometryCandidate("object_pose", "hut", scene, 100.0 + 0.9 * SAME_IMAGES, 4, at_foot, reading=reading)
+    one_reading = object_size.CHANGE.one_reading
+    (one,) = one_reading([sunk, size])
     assert one.kind == "object_size"
     assert "-0.50 m up" in one.words[-1]
     for gain in (100.0 + 1.1 * SAME_IMAGES, 100.0 - 1.1 * SAME_IMAGES):
-        assert _one_reading([replace(sunk, gain=gain), size]) == [replace(sunk, gain=gain), size]
-    assert _one_reading([size]) == [size]
-    assert _one_reading([sunk]) == [sunk]
+        assert one_reading([replace(sunk, gain=gain), size]) == [replace(sunk, gain=gain), size]
+    assert one_reading([size]) == [size]
+    assert one_reading([sunk]) == [sunk]

@@ -14,18 +14,21 @@ from worlds import box, ground, mesh_of, scene_of, view
 
 from warpsar.diagnosis.command import run
 from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Turn
+from warpsar.diagnosis.geometry import object_pose
+from warpsar.diagnosis.geometry.base.body import BodyScreening
+from warpsar.diagnosis.geometry.base.change import Hypothesis
+from warpsar.diagnosis.geometry.registry import changes, content, coordinates, scene_with, without_change
 from warpsar.diagnosis.models.all_pixels import Exact, lit_shadows, log_likelihood
-from warpsar.diagnosis.models.change import changes, composed, content, scene_with, without_change, without_object
+from warpsar.diagnosis.models.change import composed, without_object
 from warpsar.diagnosis.models.effect_gain import EffectGain
 from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.frozen import frozen
-from warpsar.diagnosis.models.movable import bodies, disjoint, freed, refined_words
+from warpsar.diagnosis.models.movable import bodies, disjoint, freed
 from warpsar.diagnosis.models.refit import BOUND, Fitted, refit_as
 from warpsar.diagnosis.result import diagnose
 from warpsar.diagnosis.search import loop as search
-from warpsar.diagnosis.turn.geometry_search import Screened, _foretold, screening
+from warpsar.diagnosis.turn.geometry_search import screening
 from warpsar.diagnosis.turn.geometry_trial import with_all_anew
-from warpsar.diagnosis.turn.sensor_search import Hypothesis
 from warpsar.differentiable.geometry import exact_images
 from warpsar.io import checkpoint
 from warpsar.learning.geometry import still
@@ -180,12 +183,12 @@ def test_free_aim_points_hold_places_where_no_body_stays() -> None:
     both = [Object(group=name, **MOVED) for name in ("cube", "hut")]
     one, two = composed(scene, scene, both[:1], ()), composed(scene, scene, both, ())
     aimed = {"aim_point": {"range_m": {"v0": 0.2}}}
-    place_and_turn, turn = ("position", "heading"), ("heading",)
-    assert refined_words(scene, two) == dict.fromkeys(("cube", "hut"), place_and_turn)
-    assert refined_words(scene, replace(one, effects=aimed)) == {"cube": place_and_turn}
-    assert refined_words(scene, replace(two, effects=aimed)) == dict.fromkeys(("cube", "hut"), turn)
+    cube, hut = ([f"objects.{name}.{key}" for key in ("position_m", "heading_deg")] for name in ("cube", "hut"))
+    assert coordinates(scene, two) == [*cube, *hut]
+    assert coordinates(scene, replace(one, effects=aimed)) == cube
+    assert coordinates(scene, replace(two, effects=aimed)) == [cube[1], hut[1]]
     held = {"aim_point": {**aimed["aim_point"], "fixed": True}}
-    assert refined_words(scene, replace(two, effects=held))["hut"] == place_and_turn
+    assert coordinates(scene, replace(two, effects=held)) == [*cube, *hut]
 
 
 # ---- how models are compared ----
@@ -218,7 +221,8 @@ def test_a_gain_is_foretold(tmp_path: Path) -> None:
     exact = Exact.of(setup, fitted)
     before, start = exact.settled(shifted)
     problem = exact.problem(freed(still(before_scene(before, start.x, shifted)), ["hut"]))
-    assert _foretold(problem)["hut"][0] == pytest.approx(start.loss - descend(problem, problem.x0).loss, rel=0.05)
+    foretold = object_pose.CHANGE.foretold(BodyScreening(shifted, exact, fitted, problem), "hut")
+    assert foretold == pytest.approx(start.loss - descend(problem, problem.x0).loss, rel=0.05)
 
 
 @pytest.mark.full
@@ -255,15 +259,20 @@ def before_scene(problem: PosedProblem, x: np.ndarray, scene: Scene) -> Scene:
 
 def test_the_screening_finds_the_body(moved: Scene, tmp_path: Path) -> None:
     setup, fitted = fitted_of(moved)
-    found = {one.label: one for one in screening(moved, Exact.of(setup, fitted), fitted)}
-    assert set(found) == {"cube", "hut"}
-    assert found["hut"].moved > 3.0 * max(found["cube"].moved, 0.0)
-    assert max(found["hut"].absent, found["cube"].absent) < 0.0
+    found = {one.name: one.foretold for one in screening(moved, Exact.of(setup, fitted), fitted)}
+    kinds = ("object_pose", "object_size", "absent_object")
+    assert list(found) == [f"{kind} {label}" for label in ("cube", "hut") for kind in kinds]
+    assert found["object_pose hut"] > 3.0 * max(found["object_pose cube"], 0.0)
+    assert max(found["absent_object hut"], found["absent_object cube"]) < 0.0
+    quiet = screening(moved, Exact.of(setup, fitted), fitted, alarm=False)
+    assert {one.name: one.foretold for one in quiet} == {
+        name: gain for name, gain in found.items() if not name.startswith("absent")
+    }
     gone = case(tmp_path, without_hut())
     setup, fitted = fitted_of(gone)
-    found = {one.label: one for one in screening(gone, Exact.of(setup, fitted), fitted)}
-    assert found["hut"].absent > 100.0
-    assert found["cube"].absent < 0.0
+    found = {one.name: one.foretold for one in screening(gone, Exact.of(setup, fitted), fitted)}
+    assert found["absent_object hut"] > 100.0
+    assert found["absent_object cube"] < 0.0
     assert lit_shadows(fitted)
 
 
@@ -439,24 +448,27 @@ def test_a_quiet_turn_asks_for_what_speckle_hardly_foretells(
 ) -> None:
     """-ln p of chi-square by hand: 53.8 with 4 numbers 24.7, 16 6.5, 17.9 (correlated) 7.3, 50 with one 28.3; less ln 3
     for what is asked."""
-    sensor = [Hypothesis("view_angles", "v0", ("views.v0.azimuth_deg",), angle)]
-    assert search._promising(sensor, [Screened("hut", moved, 0.2, 0.0)], area, 7.0) is worth
+    turned = Hypothesis("view_angles", "v0", angle, 1, ("views.v0.azimuth_deg",))
+    of_hut = [Hypothesis("object_pose", "hut", moved, 4), Hypothesis("object_size", "hut", 0.2, 3)]
+    assert search._promising([turned, *of_hut], area, 7.0) is worth
 
 
 def test_effects_far_below_what_geometry_is_foretold_wait() -> None:
     """Of the shared cases: bounces score a tenth of what a body is foretold beside them, and less beside a blur, and
     are fitted; a smear of a wrong spacing scores a fiftieth. Shifts are fitted if all images are foretold to gain by
-    them."""
+    them. Where shadows measure power, what adds power is fitted whatever it scores."""
 
-    def names(shifts: float, **scores: float) -> list[str]:
+    def names(shifts: float, shadows: bool = False, **scores: float) -> list[str]:
         asked = [Candidate(name, "testable", statistic=one, minus_log_p=one / 2.0) for name, one in scores.items()]
-        return [one.effect for one in search._beside_geometry(asked, 5000.0, shifts)]
+        return [one.effect for one in search._beside_geometry(asked, 5000.0, shifts, shadows)]
 
     assert names(100.0, multibounce=1100.0, aim_point=900.0) == ["multibounce"]
     assert names(100.0, multibounce=300.0, aim_point=500.0) == ["multibounce"]
     assert names(100.0, multibounce=200.0, point_spread=500.0) == ["point_spread"]
     assert names(3000.0, multibounce=1100.0, aim_point=900.0) == ["multibounce", "aim_point"]
     assert names(100.0, unresolved_detail=248.0, saturation=30.0) == []
+    assert names(100.0, noise_floor=30.0, unresolved_detail=248.0) == []
+    assert names(100.0, shadows=True, noise_floor=30.0, unresolved_detail=248.0) == ["noise_floor"]
 
 
 @pytest.mark.full

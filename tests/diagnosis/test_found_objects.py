@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 from test_proposals import BODY, BOX, CPU, measured, plain, ratios_of
 
-from warpsar.diagnosis.models.movable import found_words, own_material, refined_words, standing, with_words
+from warpsar.diagnosis.geometry import missing_object
+from warpsar.diagnosis.geometry.registry import coordinates
+from warpsar.diagnosis.models.movable import own_material, standing
 from warpsar.diagnosis.proposals.fit import TrialGround
 from warpsar.diagnosis.proposals.left_out import left_out
 from warpsar.diagnosis.proposals.places import Looked
@@ -18,6 +20,7 @@ from warpsar.diagnosis.search import geometry_confirmation
 from warpsar.diagnosis.search.geometry_confirmation import taken_back
 from warpsar.diagnosis.written_scene import annotate
 from warpsar.effects.registry import validate
+from warpsar.learning.geometry import with_free
 from warpsar.learning.pose import STANDS_M
 from warpsar.learning.pose_search import find_poses
 from warpsar.scene.placing import with_objects
@@ -25,6 +28,7 @@ from warpsar.scene.scene import Scene
 from warpsar.world.objects.table import Object
 
 ALL = ("position", "heading", "size")
+OF_IT = [f"objects.it.{key}" for key in ("position_m", "heading_deg", "size_m")]
 
 
 def with_box(
@@ -38,11 +42,11 @@ def with_box(
 def test_size_and_place_of_what_was_missing_are_fitted() -> None:
     """A size stays no longer as it was proposed; of a body that a scene has, place and heading alone are fitted."""
     declared, scene = plain(), with_box()
-    assert refined_words(declared, scene) == {"it": ALL}
-    assert refined_words(declared, with_objects(declared, [Object(group="hut", heading_deg=3.0)])) == {
-        "hut": ("position", "heading")
-    }
-    free = with_words(scene, refined_words(declared, scene))
+    assert coordinates(declared, scene) == OF_IT
+    turned = with_objects(declared, [Object(group="hut", heading_deg=3.0)])
+    assert coordinates(declared, turned) == ["objects.hut.position_m", "objects.hut.heading_deg"]
+    free = with_free(scene, coordinates(declared, scene))
+    assert [one.learn for one in free.objects] == [ALL]
     assert standing(free) == ["it"]
     assert own_material(declared, scene, "it") == "it"
     assert own_material(declared, with_box(material="hut"), "it") is None
@@ -58,14 +62,14 @@ def test_size_and_place_of_what_was_missing_are_fitted() -> None:
     ],
 )
 def test_a_body_without_front_has_no_heading(change: dict[str, Any], words: tuple[str, ...]) -> None:
-    assert found_words(BOX.model_copy(update=change)) == words
+    assert missing_object.CHANGE.words(BOX.model_copy(update=change)) == words
 
 
 @pytest.mark.full
 def test_the_foot_stays_on_the_ground_while_the_size_is_fitted() -> None:
     """From 20 % too large and 30 cm off, to within four standard deviations of the truth. The foot's height does not
     move, is known to a centimetre, and counts as no number; no tolerance was stated, so nothing pulls."""
-    scene = with_words(with_box((4.6, 2.9, 2.2), (2.3, -1.3, 0.0)), {"it": ALL})
+    scene = with_free(with_box((4.6, 2.9, 2.2), (2.3, -1.3, 0.0)), OF_IT)
     found = find_poses(scene, CPU, held=True, search=False, standing=["it"])
     told = found.objects["it"]
     assert found.size == 6

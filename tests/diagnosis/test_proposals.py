@@ -11,7 +11,8 @@ from learning_scenes import speckle
 from worlds import BRICK, SOIL, box, ground, mesh_of, plate, scene_of, view
 
 from warpsar.diagnosis.command import run
-from warpsar.diagnosis.models.change import GeometryCandidate
+from warpsar.diagnosis.geometry.base.change import GeometryCandidate
+from warpsar.diagnosis.geometry.missing_object import _worth_a_fit, proposed
 from warpsar.diagnosis.models.projection import pixel_of
 from warpsar.diagnosis.proposals import bodies, shapes
 from warpsar.diagnosis.proposals.bodies import _materials as starts
@@ -19,7 +20,6 @@ from warpsar.diagnosis.proposals.bodies import sound
 from warpsar.diagnosis.proposals.fit import Standing, TrialGround
 from warpsar.diagnosis.proposals.left_out import explained
 from warpsar.diagnosis.proposals.places import BodyPlace, Looked, Ratios, free_ground
-from warpsar.diagnosis.proposals.search import _worth_a_fit, proposed
 from warpsar.diagnosis.proposals.shapes import TrialBody
 from warpsar.differentiable.geometry import exact_images
 from warpsar.runtime import devices

@@ -73,6 +73,9 @@ HEAVY = SLOW | EXTRAS
 """Slow to import, or in an extra that may be missing: they alone may be imported inside a function."""
 
 
+REGISTRIES = ("effects", "models", "formats", "simulation.formats", "diagnosis.geometry")
+"""Folders of which `registry.py` finds the files by name."""
+
 PROCESSES = "warpsar.runtime.distributed"
 SHARING = {
     "warpsar.runtime.once",  # what everybody else may ask
@@ -240,8 +243,8 @@ def test_the_design_page_lists_the_rooms_in_their_order() -> None:
 
 
 def test_each_folder_says_what_its_files_do() -> None:
-    """By name, in its `__init__.py`. Effects, models and formats are found by looking into their folder: no list."""
-    folders = ("effects", "models", "formats", "simulation/formats", "render/ways")
+    """By name, in its `__init__.py`. What a registry finds by looking into its folder needs no list."""
+    folders = ("effects", "models", "formats", "simulation/formats", "render/ways", "diagnosis/geometry")
     found = [ROOT / "warpsar" / folder for folder in folders]
     unlisted = []
     for text in (*(ROOT / "warpsar").glob("*/**/__init__.py"), ROOT / "kernels" / "coherent" / "__init__.py"):
@@ -256,7 +259,7 @@ def test_lazy_imports_are_of_heavy_libraries(found: list[Arrow]) -> None:
     """cli/ apart, whose commands import their work when they are called: help needs no engine; and the faces of the
     package, which name by string what is imported when it is asked for."""
     by_string = {"warpsar", "warpsar.runtime.devices"}
-    by_string |= {f"warpsar.{folder}.registry" for folder in ("effects", "models", "formats", "simulation.formats")}
+    by_string |= {f"warpsar.{folder}.registry" for folder in REGISTRIES}
     by_string |= {"warpsar.kernels.scatter", "warpsar.render.models"}  # what a backscatter model has, by its name
     lazy = [a for a in found if a.lazy and room(a.importer) != "cli" and a.importer not in by_string]
     assert [f"{a.importer} -> {a.imported}" for a in lazy if not HEAVY & prefixes(a.imported)] == []

@@ -1,5 +1,5 @@
-"""One program: an effect, a model or a format is known where it is made, and one thing compares a model with what was
-measured. Nothing is imported: sources are read."""
+"""One program: an effect, a model, a format or a change of geometry is known where it is made, and one thing compares a
+model with what was measured. Nothing is imported: sources are read."""
 
 from __future__ import annotations
 
@@ -29,6 +29,7 @@ MODELS = {
     "two_scale": {"effects.two_scale", "world.library.surfaces"},
 }
 FORMATS = {"cphd": {"collection"}, "sicd": {"collection"}}
+CHANGES: dict[str, set[str]] = {}
 """Who else names one of them, or takes from its file. All others are in one file each: a new one is no change here."""
 
 COMPARED = {"simulated", "residual", "scaled_deviance"}
@@ -43,18 +44,20 @@ def named_in(text: str, room: str, by_text: bool) -> set[str]:
     """The files of a room that a source imports, and what it has as strings."""
     found = set(QUOTED.findall(text)) if by_text else set()
     for module, names in IMPORTED.findall(text):
-        found |= {module.split(".")[2]} if module.startswith(f"warpsar.{room}.") else set()
+        inside = module.removeprefix(f"warpsar.{room}.")
+        found |= {inside.partition(".")[0]} if inside != module else set()
         found |= set(re.findall(r"\w+", names)) if module == f"warpsar.{room}" else set()
     return found
 
 
 def naming(room: str, *, by_text: bool, modules: Mapping[str, str]) -> dict[str, set[str]]:
     """Of each file of a room: the modules that import it or, `by_text`, have its name as a string."""
-    own = {path.stem for path in (ROOT / "warpsar" / room).glob("*.py")} - {"__init__", "registry"}
+    folder = ROOT.joinpath("warpsar", *room.split("."))
+    own = {path.stem for path in folder.glob("*.py")} - {"__init__", "registry"}
     found: dict[str, set[str]] = {}
     for module, text in modules.items():
-        *rooms, file = module.split(".")
-        for name in named_in(text, room, by_text) & own - ({file} if room in rooms else set()):
+        folders, _, file = module.rpartition(".")
+        for name in named_in(text, room, by_text) & own - ({file} if f".{room}." in f".{folders}." else set()):
             found.setdefault(name, set()).add(module.removeprefix("warpsar."))
     return found
 
@@ -85,6 +88,20 @@ def test_a_model_is_named_in_its_file(modules: dict[str, str]) -> None:
 def test_a_format_is_imported_by_its_registry(modules: dict[str, str]) -> None:
     """Some are called as other things are (`gamma`, `rcs`): strings do not count."""
     assert beyond(naming("formats", by_text=False, modules=modules), FORMATS) == []
+
+
+def test_a_change_of_geometry_is_named_in_its_file(modules: dict[str, str]) -> None:
+    assert beyond(naming("diagnosis.geometry", by_text=True, modules=modules), CHANGES) == []
+
+
+@pytest.mark.parametrize(
+    "line", ['if kind == "view_angles": pass', "from warpsar.diagnosis.geometry.view_angles import CHANGE", ""]
+)
+def test_who_names_a_change_of_geometry_is_found(line: str) -> None:
+    found = naming("diagnosis.geometry", by_text=True, modules={"warpsar.diagnosis.search.loop": line})
+    assert beyond(found, CHANGES) == (["diagnosis.search.loop names view_angles"] if line else [])
+    own = {"warpsar.diagnosis.geometry.view_angles": line}
+    assert naming("diagnosis.geometry", by_text=True, modules=own) == {}
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,6 @@
 """Which effect the images hold and the scene does not declare: `warpsar diagnose`, from residual to verdict.
 
-The files, from the door inwards:
+The files, the outermost first:
 
 command.py          the command
 curves.py           which terms and materials measured curves of RCS show
@@ -25,6 +25,7 @@ search/             the search for what is missing: turns, confirmations, and ho
 turn/               one turn of the search: which effect, or which body, is likeliest
 phase/              what the phase of complex images says: an error over slow time
 dark/               what dark pixels say: power where the model puts none
+geometry/           ways in which the geometry may be wrong, a file each
 proposals/          what the mesh lacks: an object that several views agree on
 scores/             how well what is left fits the template of an effect
 models/             what the models of a diagnosis share: how one is fitted, and how two are compared

@@ -47,13 +47,13 @@ def deciding(a: Scene, b: Scene, looks: float, device: wp.Device) -> Deciding:
     after a free gain. Both models stay as they are fitted, so it is an upper bound. A date of its own shows whether
     values of single views come again.
     """
-    found = {name: _distance(a, b, views, polarization, looks, device) for name, views, polarization in _extra(a)}
+    distances = {name: _distance(a, b, views, polarization, looks, device) for name, views, polarization in _extra(a)}
     if _only_per_view(a) != _only_per_view(b):
         single = a if _only_per_view(a) else b
-        found["the same views on another date"] = _of_another_date(single, looks, device)
-    best = max(found, key=lambda name: found[name])
-    decides = found[best] > DECIDED
-    return Deciding(best, found[best], decides, found, _sentence(a, b, best, found[best], looks, decides))
+        distances["the same views on another date"] = _of_another_date(single, looks, device)
+    best = max(distances, key=lambda name: distances[name])
+    decides = distances[best] > DECIDED
+    return Deciding(best, distances[best], decides, distances, _sentence(a, b, best, distances[best], looks, decides))
 
 
 def _sentence(a: Scene, b: Scene, best: str, distance: float, looks: float, decides: bool) -> str:

@@ -76,12 +76,12 @@ def run(
     phases = once.find(lambda: ask_phase(scene))
     scene = with_phase_errors(scene, phases)
     record = open_record(scene, options, out, resume or bool(once.restarts()))
-    found = diagnose_scene(scene, where, options, record)
+    diagnosis = diagnose_scene(scene, where, options, record)
 
     processes = once.processes()
 
     def write() -> dict[str, Any]:
-        done = judged(found)
+        done = judged(diagnosis)
         moves, identified = moved_parameters(done.diagnosis)
         done.diagnosis.final.scene.save(out / "scene.toml")
         annotate(out / "scene.toml", done.diagnosis.objects)
@@ -90,7 +90,7 @@ def run(
         content["verdict"] = [*named_in(phases), *content["verdict"]]
         content = write_json(out / "diagnosis.json", scene, where, options.seed, started, content)
         write_report(out / "report.html", done, moves, content, words, phases)
-        if not found.not_asked:
+        if not diagnosis.not_asked:
             checkpoint.remove(out)
         for one in content["tolerances"].values():
             console.say(one["after"]["words"])
@@ -123,38 +123,38 @@ def command_line(scene_path: Path | str, out: Path, device: str, options: Diagno
 
 def in_short(done: Diagnosed) -> str:
     """One line: what is left unexplained first, then the names, and what they did to the views that named nothing."""
-    found = done.diagnosis
+    diagnosis = done.diagnosis
     others = {one.effect: "" for one, _ in done.alternatives}
     for one, _ in done.alternatives:
         others[one.effect] += f" or {one.other}"
     others |= {name: "".join(f" or {other}" for other in done.speckle.rivals) for name in done.speckle.names}
     names = ", ".join(name + others.get(name, "") for name in done.verdict)
-    said = []
+    parts = []
     if done.unexplained:
         why = dict.fromkeys(_WORDS[kind] for one in done.verdicts.values() for kind in one.findings)
-        said.append(f"unexplained: {', '.join(why) or '; '.join(done.reasons)}")
-        said += [f"found: {names}"] if names else []
+        parts.append(f"unexplained: {', '.join(why) or '; '.join(done.reasons)}")
+        parts += [f"found: {names}"] if names else []
         doubted = ", ".join(dict.fromkeys(map(kind_of, done.not_established)))
-        said += [f"in the model, but not established: {doubted}"] if doubted else []
+        parts += [f"in the model, but not established: {doubted}"] if doubted else []
     else:
-        said.append(names or "nothing missing")
-        said += [OPEN_WORDS] if done.foretold else []
-    if found.not_asked:
-        said.append("the time was over before all was asked")
+        parts.append(names or "nothing missing")
+        parts += [OPEN_WORDS] if done.foretold else []
+    if diagnosis.not_asked:
+        parts.append("the time was over before all was asked")
     if not done.unexplained:
         edges = [one.edges for one in done.verdicts.values()]
-        said.append(max(edges, key=lambda one: one.most_m if one.judged else math.inf).words)
-        said += [] if "test" in done.verdicts else ["no test views: train views alone were judged"]
+        parts.append(max(edges, key=lambda one: one.most_m if one.judged else math.inf).words)
+        parts += [] if "test" in done.verdicts else ["no test views: train views alone were judged"]
         few = [role for role, one in done.verdicts.items() if one.finding == "cannot be told"]
-        said += [f"too few pixels of {' and '.join(few)} views to tell their level"] if few else []
+        parts += [f"too few pixels of {' and '.join(few)} views to tell their level"] if few else []
     for role in reversed(ROLES):
         before, after = done.before[role], done.after[role]
         if before is not None and after is not None:
-            said.append(
+            parts.append(
                 f"{role} deviance {before['deviance']:.4f} -> {after['deviance']:.4f} +- {after['deviance_error']:.4f}"
             )
             break
-    return "; ".join(one for one in said if one)
+    return "; ".join(one for one in parts if one)
 
 
 _WORDS = {

@@ -11,9 +11,9 @@ from warpsar.compare.contract import ROLES
 from warpsar.compare.metrics import difference, pool
 from warpsar.diagnosis.field_content import fields_content
 from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Diagnosis, EffectRival, Turn
+from warpsar.diagnosis.geometry.registry import is_geometry
 from warpsar.diagnosis.known import known_content
 from warpsar.diagnosis.left.words import described
-from warpsar.diagnosis.models.change import is_geometry
 from warpsar.diagnosis.models.names import kind_of, object_of
 from warpsar.diagnosis.result import Diagnosed, of_role, why_not
 from warpsar.diagnosis.search.outcome import outcome
@@ -27,11 +27,11 @@ def content_of(
     done: Diagnosed, moves: Sequence[ParameterMove], identified: Identified, options: DiagnoseOptions
 ) -> dict[str, Any]:
     """JSON's types; docs/diagnosis-json.md explains the keys."""
-    found = done.diagnosis
-    last = found.turns[-1]
+    diagnosis = done.diagnosis
+    last = diagnosis.turns[-1]
     rows, columns = done.place.window
-    added = list(enumerate(turn for turn in found.turns if turn.fitted is not None))
-    held = {turn.added: (k, turn) for k, turn in added if turn.added in found.held}  # the last time counts
+    added = list(enumerate(turn for turn in diagnosis.turns if turn.fitted is not None))
+    held = {turn.added: (k, turn) for k, turn in added if turn.added in diagnosis.held}  # the last time counts
     last_held = max(held.values(), key=lambda pair: pair[0])[1] if held else None
     untestable = [c for c in last.candidates if c.testability != "testable"]
     return {
@@ -45,7 +45,7 @@ def content_of(
         "own_numbers_fitted_to_test_views": done.own_numbers,
         "foretold_test_views": None if done.foretold is None else done.foretold.content(),
         "speckle": asdict(done.speckle),
-        "not_asked": found.not_asked,
+        "not_asked": diagnosis.not_asked,
         "alternatives": [
             *([one.effect, one.other] for one, _ in done.alternatives),
             *([name, other] for name in done.speckle.names for other in done.speckle.rivals),
@@ -55,23 +55,23 @@ def content_of(
         "after": done.after,
         "gain": {role: _gain(done.models[0], done.models[-1], role) for role in ROLES},
         "steps": [
-            _addition(turn, options, done.models[k], done.models[-1 if turn is last_held else k + 1], found)
+            _addition(turn, options, done.models[k], done.models[-1 if turn is last_held else k + 1], diagnosis)
             for k, turn in held.values()
         ],
         "taken_back": {
             turn.added: candidate.refused
             for _, turn in added
             for candidate in turn.candidates
-            if candidate.effect == turn.added and turn.added not in found.held
+            if candidate.effect == turn.added and turn.added not in diagnosis.held
         },
-        "withdrawn": found.withdrawn,
+        "withdrawn": diagnosis.withdrawn,
         "candidates": [
-            *(_candidate(c, found.turns[0]) for c in found.turns[0].candidates if not is_geometry(c.effect)),
-            *map(_declared, found.scene.effects),
+            *(_candidate(c, diagnosis.turns[0]) for c in diagnosis.turns[0].candidates if not is_geometry(c.effect)),
+            *map(_declared, diagnosis.scene.effects),
         ],
         "not_testable": [c.effect for c in untestable],
         "not_testable_because": {c.effect: why_not(c) for c in untestable},
-        "turns": [_turn(turn) for turn in found.turns],
+        "turns": [_turn(turn) for turn in diagnosis.turns],
         "left_at_the_end": {
             "p_value": last.p_scan,
             "minus_log_p": last.scan_minus_log_p,
@@ -82,20 +82,20 @@ def content_of(
             "description": described(done.left),
         },
         "materials": {
-            **{name: {m.key: _moved(m) for m in moves if m.material == name} for name in found.scene.materials},
-            **own_materials(found, identified),
+            **{name: {m.key: _moved(m) for m in moves if m.material == name} for name in diagnosis.scene.materials},
+            **own_materials(diagnosis, identified),
         },
-        **fields_content(found.declared, found.final),
-        "effects": found.final.scene.effects,
-        "objects": found.objects,
-        "sensor": found.sensor,
+        **fields_content(diagnosis.declared, diagnosis.final),
+        "effects": diagnosis.final.scene.effects,
+        "objects": diagnosis.objects,
+        "sensor": diagnosis.sensor,
         "identifiability": identified.summary(),
-        **known_content(found, identified),
-        "rays_per_pixel": found.density.rays_per_pixel,
-        "rays_chosen": found.density.chosen,
-        "ray_noise": found.density.noise,
+        **known_content(diagnosis, identified),
+        "rays_per_pixel": diagnosis.density.rays_per_pixel,
+        "rays_chosen": diagnosis.density.chosen,
+        "ray_noise": diagnosis.density.noise,
         "images": [_image(*pair) for pair in zip(done.models[0], done.models[-1], strict=True)],
-        "per_view_effects_on_test_views": _per_view_note(found),
+        "per_view_effects_on_test_views": _per_view_note(diagnosis),
     }
 
 
@@ -142,7 +142,11 @@ def _declared(effect: str) -> dict[str, Any]:
 
 
 def _addition(
-    turn: Turn, options: DiagnoseOptions, before: Sequence[Comparison], after: Sequence[Comparison], found: Diagnosis
+    turn: Turn,
+    options: DiagnoseOptions,
+    before: Sequence[Comparison],
+    after: Sequence[Comparison],
+    diagnosis: Diagnosis,
 ) -> dict[str, Any]:
     """What a turn added, as the final model has it, and how far the models before and after it are from the
     images."""
@@ -153,9 +157,9 @@ def _addition(
         **_candidate(chosen, turn),
         "threshold": turn.threshold,
         "family_error": options.family_error,
-        "parameters": {**found.objects, **found.sensor}[object_of(chosen.effect)]
+        "parameters": {**diagnosis.objects, **diagnosis.sensor}[object_of(chosen.effect)]
         if is_geometry(chosen.effect)
-        else found.final.scene.effects[chosen.effect],
+        else diagnosis.final.scene.effects[chosen.effect],
         "train_deviance": train["deviance"],
         "train_deviance_error": train["deviance_error"],
         "test_deviance": None if test is None else test["deviance"],
@@ -206,10 +210,10 @@ def _image(before: Comparison, after: Comparison) -> dict[str, Any]:
     }
 
 
-def _per_view_note(found: Diagnosis) -> str | None:
+def _per_view_note(diagnosis: Diagnosis) -> str | None:
     """Effects with a number for each view say nothing of views that no fit has touched."""
-    mine = [name for name in found.final.scene.effects if any(p.per_view for p in get(name).parameters)]
-    if not mine or not any(v.role == "test" and v.images for v in found.scene.views):
+    mine = [name for name in diagnosis.final.scene.effects if any(p.per_view for p in get(name).parameters)]
+    if not mine or not any(v.role == "test" and v.images for v in diagnosis.scene.views):
         return None
     return (
         f"{', '.join(mine)}: one number per view, which cannot come from other views; on test views it stays at its "

@@ -62,8 +62,8 @@ class DiagnosedCurves:
     @property
     def level_only(self) -> list[str]:
         """Effects that tell the mean power and not the pattern."""
-        told = dict.fromkeys(effect for one in self.found.values() for effect in one.level_only)
-        return [one for one in told if one not in self.verdict]
+        names = dict.fromkeys(effect for one in self.found.values() for effect in one.level_only)
+        return [one for one in names if one not in self.verdict]
 
     def content(self) -> dict[str, Any]:
         """For diagnosis.json."""

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from warpsar.compare.observation import Observation
+from warpsar.diagnosis.geometry.registry import changes
 from warpsar.diagnosis.models.carried import Carried
-from warpsar.diagnosis.models.change import changes
 from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.judge import Judge
 from warpsar.diagnosis.models.left_out import ViewsLeftOut

@@ -9,9 +9,9 @@ from warpsar.learning.identify import Identified, identify
 from warpsar.learning.pull import leaving, pulls
 
 
-def known_content(found: Diagnosis, identified: Identified) -> dict[str, Any]:
+def known_content(diagnosis: Diagnosis, identified: Identified) -> dict[str, Any]:
     """For diagnosis.json: each known value in the declared model and in the final one; `identified` is the final's."""
-    first, last = found.declared, found.final
+    first, last = diagnosis.declared, diagnosis.final
     uniform = first.problem.uniform  # beside fields no standard deviations are given
     after = pulls(last.problem, last.x, identified if uniform else None)
     before = after
@@ -32,10 +32,10 @@ def known_rows(content: dict[str, Any]) -> list[list[str]]:
         before, after = one["before"], one["after"]
         unit = "" if after["unit"] == "1" else f" [{after['unit']}]"
         alone = "–" if after["data"] is None else _with_error(after["data"], after["data_sd"])
-        found = [_with_error(each["posterior"], each["posterior_sd"]) for each in (before, after)]
+        values = [_with_error(each["posterior"], each["posterior_sd"]) for each in (before, after)]
         pull = [f"{each['pull']:+.1f}" for each in (before, after)]
         known = _with_error(after["prior"], after["prior_sd"])
-        rows.append([f"{label}{unit}", known, found[0], pull[0], found[1], pull[1], alone, _tension(after)])
+        rows.append([f"{label}{unit}", known, values[0], pull[0], values[1], pull[1], alone, _tension(after)])
     return rows
 
 
@@ -49,8 +49,8 @@ KNOWN_CAPTION = (
 
 
 def _tension(one: dict[str, Any]) -> str:
-    told = "–" if one["tension"] is None else f"{one['tension']:+.1f} sd"
-    return f"{told}: leaves it" if one["alarm"] else told
+    tension = "–" if one["tension"] is None else f"{one['tension']:+.1f} sd"
+    return f"{tension}: leaves it" if one["alarm"] else tension
 
 
 def _with_error(value: float, error: float | None) -> str:

@@ -17,15 +17,14 @@ from warpsar.compare.judgement import SHARE, Finding, Judgement, judge, speckle_
 from warpsar.compare.metrics import difference, likelihood_gain
 from warpsar.diagnosis.alternatives import Deciding, deciding
 from warpsar.diagnosis.found import REFUSES, Candidate, DiagnoseOptions, Diagnosis, EffectRival
+from warpsar.diagnosis.geometry.registry import changes, is_geometry, of
 from warpsar.diagnosis.left.place import ResidualPlace, place
 from warpsar.diagnosis.left.summary import Left, left_of
-from warpsar.diagnosis.models.change import ABSENT, MISSING, changes, is_geometry
 from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.judge import under, with_speckle
 from warpsar.diagnosis.models.left_out import LARGEST_DIFFERENCE, clipped
 from warpsar.diagnosis.models.names import kind_of, object_of
 from warpsar.diagnosis.models.refit import Fitted, refit_without
-from warpsar.diagnosis.models.sensor import is_own_angle, is_sensor
 from warpsar.diagnosis.role_metrics import RoleMetrics, role_metrics
 from warpsar.diagnosis.search.geometry_confirmation import taken_back
 from warpsar.diagnosis.search.procedure import diagnose_scene
@@ -43,10 +42,7 @@ from warpsar.speckle.scan import Spot
 # ---- which names of the final model are earned
 
 
-PLACED = {ABSENT, MISSING}  # bodies that are there or are not: no remainder elsewhere puts them in doubt
-
-
-def not_established(found: Diagnosis, verdicts: Mapping[str, Judgement]) -> dict[str, str]:
+def not_established(diagnosis: Diagnosis, verdicts: Mapping[str, Judgement]) -> dict[str, str]:
     """Names of the final model that are not earned, with their objects, and why, in words.
 
     What the time left on trial is none. Beside edges that do not agree, nothing that moves edges is, be it a body, an
@@ -55,17 +51,17 @@ def not_established(found: Diagnosis, verdicts: Mapping[str, Judgement]) -> dict
     """
     left = {one for verdict in verdicts.values() for one in verdict.findings}
     why = {}
-    for name in found.held:
-        if name in found.on_trial:
+    for name in diagnosis.held:
+        if name in diagnosis.on_trial:
             why[name] = "the time was over before it was asked beside the others"
         elif is_geometry(name):
-            if "edges" in left and kind_of(name) not in PLACED:
+            if "edges" in left and of(name).edges_doubt:
                 why[name] = "edges do not agree with it"
-            elif "structure" in left and is_sensor(name):
+            elif "structure" in left and of(name).structure_doubts:
                 why[name] = "structure is left with it"
         elif "edges" in left and get(name).stage == "position":
             why[name] = "edges do not agree with it"
-        elif {"edges", "structure"} & left and not found.signed(name):
+        elif {"edges", "structure"} & left and not diagnosis.signed(name):
             why[name] = "what is left may be what it stands in for, and its own test does not confirm it"
     return why
 
@@ -173,52 +169,52 @@ def diagnose(
     return once.alone(lambda: judged(found))
 
 
-def judged(found: Diagnosis) -> Diagnosed:
+def judged(diagnosis: Diagnosis) -> Diagnosed:
     """Judge every turn's model on all views.
 
     What test views speak against is taken out of the answer, one after the other: it is `withdrawn`, and what it was to
     explain is left unexplained.
     """
-    judge_of = found.judge
-    found = _without_what_hurts(found)
-    fitted = found.final.scene
-    speckle = _earned(found.scene, fitted, judge_of(fitted, "train"))
-    final = with_speckle(_with_views(fitted, found.scene), speckle)
+    judge_of = diagnosis.judge
+    diagnosis = _without_what_hurts(diagnosis)
+    fitted = diagnosis.final.scene
+    speckle = _earned(diagnosis.scene, fitted, judge_of(fitted, "train"))
+    final = with_speckle(_with_views(fitted, diagnosis.scene), speckle)
     if final.views != fitted.views:
-        found = replace(found, final=replace(found.final, scene=final))
+        diagnosis = replace(diagnosis, final=replace(diagnosis.final, scene=final))
     own = judge_of.with_own_numbers(fitted)
     tested = {"train": judge_of(fitted, "train"), "test": own}
     verdicts = {role: judge_of.judgement(under(images, final)) for role, images in tested.items() if images}
     foretold = None
     if _may_be_open(verdicts):
-        images = judge_of.with_open_surface(final, found.setup.roughness)
+        images = judge_of.with_open_surface(final, diagnosis.setup.roughness)
         opened = {role: judge(of) for role, of in images.items()}
         cost = _train_cost(under(judge_of(fitted, "train"), final), images["train"]) / verdicts["train"].sharing
-        allowed = float(chdtri(found.final.problem.learned.size, OPEN))
+        allowed = float(chdtri(diagnosis.final.problem.learned.size, OPEN))
         if cost < allowed and not any(one.wrong for one in opened.values()):
             foretold, verdicts = verdicts["test"], opened
     models = [
-        [image for role in ROLES for image in under(judge_of(one.scene, role, edges=False), found.scene)]
-        for one in fitted_models(found)[:-1]
+        [image for role in ROLES for image in under(judge_of(one.scene, role, edges=False), diagnosis.scene)]
+        for one in fitted_models(diagnosis)[:-1]
     ]
     models.append([image for role in ROLES for image in under(judge_of(fitted, role), final)])
-    first = judge_of.with_own_numbers(found.declared.scene, edges=False)
-    paying = under(first, found.scene), under(own, final)
-    reasons = _reasons(found, [*found.verdict, *speckle.names], verdicts, paying)
-    doubted = not_established(found, verdicts)
-    named = [name for name in found.held if name not in doubted]
-    undecided = [rival for rival in found.rivals if rival.undecided and rival.effect in named]
-    looks = float(np.median([seen.looks for seen in found.observations]))
-    alternatives = [(one, deciding(final, one.scene, looks, found.setup.device)) for one in undecided]
+    first = judge_of.with_own_numbers(diagnosis.declared.scene, edges=False)
+    paying = under(first, diagnosis.scene), under(own, final)
+    reasons = _reasons(diagnosis, [*diagnosis.verdict, *speckle.names], verdicts, paying)
+    doubted = not_established(diagnosis, verdicts)
+    named = [name for name in diagnosis.held if name not in doubted]
+    undecided = [rival for rival in diagnosis.rivals if rival.undecided and rival.effect in named]
+    looks = float(np.median([seen.looks for seen in diagnosis.observations]))
+    alternatives = [(one, deciding(final, one.scene, looks, diagnosis.setup.device)) for one in undecided]
     last = models[-1]
-    spot = _spot(found, verdicts["train"])
-    where = place(found, last, spot)
-    left = left_of(found, last, spot, bool(reasons))
+    spot = _spot(diagnosis, verdicts["train"])
+    where = place(diagnosis, last, spot)
+    left = left_of(diagnosis, last, spot, bool(reasons))
     own_numbers = own is not judge_of(fitted, "test")
-    problem, x = found.final.problem, found.final.x
+    problem, x = diagnosis.final.problem, diagnosis.final.x
     little = doubts(problem, x, {}, outside_domains(problem, x))
     return Diagnosed(
-        found, models, speckle, verdicts, reasons, own_numbers, foretold, where, left, alternatives, doubted, little
+        diagnosis, models, speckle, verdicts, reasons, own_numbers, foretold, where, left, alternatives, doubted, little
     )
 
 
@@ -234,19 +230,19 @@ def _may_be_open(verdicts: Mapping[str, Judgement]) -> bool:
 
 def _earned(declared: Scene, fitted: Scene, images: Sequence[Comparison]) -> SpeckleFact:
     """What even ground says of the declared looks and texture; no name for it where structure is left beside it."""
-    told = speckle_of(under(images, declared))
-    if not told.names:
-        return told
-    with_it = judge(under(images, with_speckle(_with_views(fitted, declared), told)))
-    return told.beside_structure if {"structure", "edges"} & set(with_it.findings) else told
+    speckle = speckle_of(under(images, declared))
+    if not speckle.names:
+        return speckle
+    with_it = judge(under(images, with_speckle(_with_views(fitted, declared), speckle)))
+    return speckle.beside_structure if {"structure", "edges"} & set(with_it.findings) else speckle
 
 
-def _spot(found: Diagnosis, verdict: Judgement) -> Spot:
+def _spot(diagnosis: Diagnosis, verdict: Judgement) -> Spot:
     """The strongest window: of the search's scan where it has an alarm, else of the judgement on all pixels."""
-    last, window = found.turns[-1], verdict.window
+    last, window = diagnosis.turns[-1], verdict.window
     if last.alarms or verdict.p_window >= SHARE:
         return last.spot
-    names = [(seen.view.name, seen.polarization) for seen in found.observations]
+    names = [(seen.view.name, seen.polarization) for seen in diagnosis.observations]
     at = names.index((window.view, window.polarization))
     return Spot(window.z, at, window.row, window.col, (window.rows, window.columns))
 
@@ -258,46 +254,47 @@ def _with_views(scene: Scene, given: Scene) -> Scene:
 
 
 def _reasons(
-    found: Diagnosis,
+    diagnosis: Diagnosis,
     names: Sequence[str],
     verdicts: Mapping[str, Judgement],
     tested: tuple[Sequence[Comparison], Sequence[Comparison]],
 ) -> list[str]:
     """What speaks against an all-clear, a sentence each. `tested`: the test images beside the declared and the final
     model, with what each of these holds for each view by itself fitted to them."""
-    said = [f"{role} views: {one.words}" for role, one in verdicts.items() if one.wrong]
-    if found.withdrawn:
-        said.append(f"{', '.join(found.withdrawn)} held on train views, but the test views speak against it")
-    if trial := [name for name in found.on_trial if name in found.held]:
-        said.append(f"the time was over before it was asked whether {', '.join(trial)} holds")
-    if found.unexplained and not said:
-        said.append("train views: the scan finds something that no effect explains")
+    reasons = [f"{role} views: {one.words}" for role, one in verdicts.items() if one.wrong]
+    if diagnosis.withdrawn:
+        reasons.append(f"{', '.join(diagnosis.withdrawn)} held on train views, but the test views speak against it")
+    if trial := [name for name in diagnosis.on_trial if name in diagnosis.held]:
+        reasons.append(f"the time was over before it was asked whether {', '.join(trial)} holds")
+    if diagnosis.unexplained and not reasons:
+        reasons.append("train views: the scan finds something that no effect explains")
     before, after = tested
     other_laws = any(a.seen.law != b.seen.law for a, b in zip(before, after, strict=True))
     if names and other_laws and likelihood_gain(before, after) <= 0.0:
-        said.append(f"{', '.join(names)} does not pay on test views: their likelihood did not rise")
-    return said
+        reasons.append(f"{', '.join(names)} does not pay on test views: their likelihood did not rise")
+    return reasons
 
 
-def _without_what_hurts(found: Diagnosis) -> Diagnosis:
+def _without_what_hurts(diagnosis: Diagnosis) -> Diagnosis:
     """The diagnosis without what test views speak against.
 
     A name is asked beside all the others, and only where a step from one turn's model to the next, or all steps
     together, are refuted. What hurts most goes first, and the rest is fitted and judged again. A train view's own angle
     moves no other image: what the surface that follows it changes there is chance.
     """
-    judge_of, setup, withdrawn, kept = found.judge, replace(found.setup, bound=0.0), list[str](), found.final
+    judge_of, setup = diagnosis.judge, replace(diagnosis.setup, bound=0.0)
+    withdrawn, kept = list[str](), diagnosis.final
 
     def gain_of(without: Fitted, with_it: Fitted) -> _TestGain:
         return _test_gain(*(judge_of.with_own_numbers(one.scene, edges=False) for one in (without, with_it)))
 
-    names = _withdrawable(found, kept)
-    steps = [(found.declared, kept), *pairwise(fitted_models(found))]
+    names = _withdrawable(diagnosis, kept)
+    steps = [(diagnosis.declared, kept), *pairwise(fitted_models(diagnosis))]
     if not names or not judge_of(kept.scene, "test", edges=False) or not any(gain_of(*step).refuted for step in steps):
-        return found
+        return diagnosis
     while names:
-        alone = len(_added(found, kept)) == 1
-        without = [found.declared if alone else _without(setup, kept, found.scene, name) for name in names]
+        alone = len(_added(diagnosis, kept)) == 1
+        without = [diagnosis.declared if alone else _without(setup, kept, diagnosis.scene, name) for name in names]
         answers = [gain_of(one, kept) for one in without]
         hurting = [k for k, one in enumerate(answers) if one.refuted]
         if not hurting:
@@ -305,12 +302,12 @@ def _without_what_hurts(found: Diagnosis) -> Diagnosis:
         worst = min(hurting, key=lambda k: answers[k].gain)
         withdrawn.append(names[worst])
         kept = without[worst]
-        names = _withdrawable(found, kept)
+        names = _withdrawable(diagnosis, kept)
     if not withdrawn:
-        return found
-    objects = {name: one for name, one in found.objects.items() if name not in map(object_of, withdrawn)}
+        return diagnosis
+    objects = {name: one for name, one in diagnosis.objects.items() if name not in map(object_of, withdrawn)}
     plain = list(dict.fromkeys(kind_of(name) for name in withdrawn))
-    return replace(found, final=kept, withdrawn=plain, unexplained=True, objects=objects)
+    return replace(diagnosis, final=kept, withdrawn=plain, unexplained=True, objects=objects)
 
 
 @dataclass(frozen=True)
@@ -352,14 +349,16 @@ def _test_gain(before: Sequence[Comparison], after: Sequence[Comparison]) -> _Te
     return _TestGain(float(gain), float(expected), float(np.sqrt(max(square, 0.0))))
 
 
-def _added(found: Diagnosis, fitted: Fitted) -> list[str]:
+def _added(diagnosis: Diagnosis, fitted: Fitted) -> list[str]:
     """Effects that the scene does not declare, and changes of its geometry."""
-    effects = [name for name in fitted.scene.effects if name not in found.scene.effects]
-    return [*effects, *changes(found.scene, fitted.scene)]
+    effects = [name for name in fitted.scene.effects if name not in diagnosis.scene.effects]
+    return [*effects, *changes(diagnosis.scene, fitted.scene)]
 
 
-def _withdrawable(found: Diagnosis, fitted: Fitted) -> list[str]:
-    return [name for name in _added(found, fitted) if not is_own_angle(name)]
+def _withdrawable(diagnosis: Diagnosis, fitted: Fitted) -> list[str]:
+    return [
+        name for name in _added(diagnosis, fitted) if not (is_geometry(name) and of(name).only_view(object_of(name)))
+    ]
 
 
 def _without(setup: FitSetup, fitted: Fitted, declared: Scene, name: str) -> Fitted:
@@ -368,10 +367,10 @@ def _without(setup: FitSetup, fitted: Fitted, declared: Scene, name: str) -> Fit
     return refit_without(setup, fitted, name)
 
 
-def fitted_models(found: Diagnosis) -> list[Fitted]:
+def fitted_models(diagnosis: Diagnosis) -> list[Fitted]:
     """The declared model, the one after every addition, and the final one, fitted."""
-    models = [found.declared, *(turn.fitted for turn in found.turns if turn.fitted is not None)]
-    return models if models[-1] is found.final and len(models) > 1 else [*models, found.final]
+    models = [diagnosis.declared, *(turn.fitted for turn in diagnosis.turns if turn.fitted is not None)]
+    return models if models[-1] is diagnosis.final and len(models) > 1 else [*models, diagnosis.final]
 
 
 def why_not(candidate: Candidate) -> str:

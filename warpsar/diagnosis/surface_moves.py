@@ -37,9 +37,9 @@ class ParameterMove:
         return self.move / float(np.hypot(self.before_sd, self.after_sd))
 
 
-def moved_parameters(found: Diagnosis) -> tuple[list[ParameterMove], Identified]:
+def moved_parameters(diagnosis: Diagnosis) -> tuple[list[ParameterMove], Identified]:
     """How far every uniform learned surface parameter went, and what the final model's data can say of them."""
-    first, last = found.declared, found.final
+    first, last = diagnosis.declared, diagnosis.final
     before, after = (identified(fitted) for fitted in (first, last))
     if last.problem.uniform:
         after = with_profiles(last.problem, last.x, after)

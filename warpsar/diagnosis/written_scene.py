@@ -10,23 +10,22 @@ from typing import Any
 import tomlkit
 
 from warpsar.diagnosis.found import Diagnosis
+from warpsar.diagnosis.geometry.registry import body_changes
 from warpsar.learning.identify import Identified
+from warpsar.learning.pose_search import sd_key
 from warpsar.surface.surface import kinds_of
 
-SD_KEYS = {"position_m": "position_sd_m", "heading_deg": "heading_sd_deg", "size_m": "size_sd_m"}
-"""Keys of an object's table, and where diagnosis.json has their standard deviations."""
 
-
-def own_materials(found: Diagnosis, identified: Identified) -> dict[str, dict[str, dict[str, float]]]:
+def own_materials(diagnosis: Diagnosis, identified: Identified) -> dict[str, dict[str, dict[str, float]]]:
     """Materials that only the final scene has, by name and learned key, as `materials` in diagnosis.json has them.
 
     `identified` is that of the final model.
     """
     sds = dict(zip(identified.labels, identified.sd.tolist(), strict=True))
     content: dict[str, dict[str, dict[str, float]]] = {}
-    parameters = found.final.scene.parameters
-    for name, material in found.final.scene.materials.items():
-        if name in found.scene.materials:
+    parameters = diagnosis.final.scene.parameters
+    for name, material in diagnosis.final.scene.materials.items():
+        if name in diagnosis.scene.materials:
             continue
         content[name] = {
             kind.key: {
@@ -45,10 +44,11 @@ def annotate(path: Path, objects: Mapping[str, Mapping[str, Any]]) -> None:
     A tolerance would be wrong there: a fit to the same images would take them for knowledge, and count them twice.
     """
     document = tomlkit.parse(path.read_text(encoding="utf-8"))
+    commented = {key: sd_key(key) for change in body_changes() for key in change.commented}
     for table in document.get("objects", []):
-        told = objects.get(str(table.get("name", table.get("group", ""))), {})
-        for key, sd in SD_KEYS.items():
-            if key in table and sd in told:
-                values = told[sd] if isinstance(told[sd], list) else [told[sd]]
-                table[key].comment("standard deviation " + ", ".join(f"{value:.2g}" for value in values))
+        values = objects.get(str(table.get("name", table.get("group", ""))), {})
+        for key, sd in commented.items():
+            if key in table and sd in values:
+                sds = values[sd] if isinstance(values[sd], list) else [values[sd]]
+                table[key].comment("standard deviation " + ", ".join(f"{each:.2g}" for each in sds))
     path.write_text(tomlkit.dumps(document), encoding="utf-8", newline="\n")

@@ -7,8 +7,9 @@ what was traced.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -16,8 +17,11 @@ from warpsar.effects.registry import fitted_effects, get
 from warpsar.parameters.at import at
 from warpsar.parameters.parameter import Parameter
 from warpsar.scene.scene import Scene
-from warpsar.world.objects.table import KEYS
+from warpsar.world.objects.table import KEYS, Object
 from warpsar.world.objects.table import LIMITS as SHARES
+from warpsar.world.tables import Grid, Radar, View
+
+T = TypeVar("T", Object, View, Radar, Grid)
 
 FARTHEST_M = 50.0  # that a fit moves an object
 LARGEST_FACTOR = 4.0  # by which it changes a size
@@ -154,6 +158,31 @@ def still(scene: Scene) -> Scene:
     grid = scene.grid.model_copy(update={"learn": (), "tolerance": {}})
     radar = scene.radar.model_copy(update={"learn": (), "tolerance": {}})
     return replace(scene, objects=objects, views=views, grid=grid, radar=radar)
+
+
+def with_free(scene: Scene, parameters: Sequence[str]) -> Scene:
+    """The scene with nothing but these parameters of its geometry to learn, by their dotted names.
+
+    A view has its angles in one order, whatever that of the names; all else is as the names come.
+    """
+    scene = still(scene)
+    keys: dict[str, list[str]] = {}  # by what they are of: "objects.car", "views", "views.north", "image"
+    for name in dict.fromkeys(parameters):
+        owner, _, key = name.rpartition(".")
+        keys.setdefault(owner, []).append(key)
+
+    def learning(table: T, learn: Iterable[str]) -> T:
+        return table.model_copy(update={"learn": tuple(learn)})
+
+    return replace(
+        scene,
+        objects=tuple(
+            learning(one, (WORDS[key] for key in keys.get(f"objects.{one.label}", ()))) for one in scene.objects
+        ),
+        views=[learning(view, sorted(keys.get(f"views.{view.name}", ()))) for view in scene.views],
+        radar=learning(scene.radar, keys.get("views", ())),
+        grid=learning(scene.grid, keys.get("image", ())),
+    )
 
 
 def freed(scene: Scene) -> Iterator[Parameter]:

@@ -13,7 +13,7 @@ import warp as wp
 
 from warpsar.compare.observation import Observation
 from warpsar.errors import InputError
-from warpsar.learning.geometry import GeometryCoordinate, freed, still
+from warpsar.learning.geometry import freed, still
 from warpsar.learning.identify import Identified
 from warpsar.learning.pose import Descended, PosedProblem, descend
 from warpsar.learning.pose_pixels import compared
@@ -280,7 +280,7 @@ def summary(problem: PosedProblem, x: np.ndarray, identified: Identified) -> dic
             continue
         entry = found[c.body]
         value_sd = float(sd * abs(c.per_metre(float(coordinate))))
-        key = _sd_key(c)
+        key = sd_key(c.parameter.key)
         if c.index is None:
             entry[key] = value_sd
         else:
@@ -329,8 +329,8 @@ def survey_errors(prior: Prior, x: np.ndarray, covariance: np.ndarray) -> dict[s
     return found
 
 
-def _sd_key(c: GeometryCoordinate) -> str:
-    key = c.parameter.key
+def sd_key(key: str) -> str:
+    """Where JSON files have the standard deviation of what an object's table has at `key`."""
     stem, _, unit = key.partition("_")
     if key == "side_curvature":
         return "side_curvature_sd"

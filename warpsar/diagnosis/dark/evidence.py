@@ -10,11 +10,11 @@ import numpy as np
 
 from warpsar.diagnosis.dark.pixels import dark_pixels, impossible
 from warpsar.diagnosis.found import Candidate
+from warpsar.diagnosis.models.fit_setup import DARK_PIXELS
 from warpsar.diagnosis.models.refit import Fitted
 from warpsar.effects.registry import get, names
 from warpsar.scene.scene import Scene
 
-DARK_PIXELS = 50  # fewer dark pixels than this say nothing
 _FITTED = ("testable", "not_testable")  # where something that lit pixels do not see asks for it
 SILENT_SHARE = 0.01  # of the dark pixels that may measure exactly 0 under a floor
 
@@ -68,8 +68,8 @@ class Dark:
         where they leave it no place."""
         if self.everywhere:
             return table
-        found = get(effect).placed_in_the_dark(scene, table, self.power)
-        return table if found is None else found
+        placed = get(effect).placed_in_the_dark(scene, table, self.power)
+        return table if placed is None else placed
 
 
 def worth_a_refit(

@@ -6,10 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from warpsar.diagnosis.dark.evidence import DARK_PIXELS
 from warpsar.diagnosis.dark.pixels import DarkPixels, dark_pixels
 from warpsar.diagnosis.found import DarkScan
-from warpsar.diagnosis.models.fit_setup import FitSetup
+from warpsar.diagnosis.models.fit_setup import DARK_PIXELS, FitSetup
 from warpsar.diagnosis.models.refit import Fitted
 from warpsar.diagnosis.scores.evidence import LARGEST, Evidence
 from warpsar.simulation.rays import Rays
@@ -27,19 +26,19 @@ def scan_dark(setup: FitSetup, other_rays: Rays, base: Fitted, evidence: Evidenc
     lines = Lines(pixels, evidence.autocovariance)
     if lines.pixels < DARK_PIXELS:
         return None
-    found = lines.strongest([one.residual for one in pixels])
-    if found.z == 0.0:
+    strongest = lines.strongest([one.residual for one in pixels])
+    if strongest.z == 0.0:
         return None  # nothing is measured there, and nothing is modelled
-    score = float(lines.tail(seed, LARGEST)(abs(found.z)))
-    one = pixels[found.observation]
-    inside = _inside(one, found.rows, found.cols)
+    score = float(lines.tail(seed, LARGEST)(abs(strongest.z)))
+    one = pixels[strongest.observation]
+    inside = _inside(one, strongest.rows, strongest.cols)
     return DarkScan(
         score,
-        found.z,
-        found.observation,
-        found.kind,
-        found.rows,
-        found.cols,
+        strongest.z,
+        strongest.observation,
+        strongest.kind,
+        strongest.rows,
+        strongest.cols,
         int(inside.sum()),
         float(one.measured[inside].mean()),
         float(one.modelled[inside].mean()),
@@ -49,7 +48,7 @@ def scan_dark(setup: FitSetup, other_rays: Rays, base: Fitted, evidence: Evidenc
 
 def _inside(one: DarkPixels, rows: tuple[int, int], cols: tuple[int, int]) -> np.ndarray:
     """The judged pixels of a box, shape of the image."""
-    found = np.zeros_like(one.interior)
+    inside = np.zeros_like(one.interior)
     box = tuple(slice(max(first, 0), end) for first, end in (rows, cols))
-    found[box] = one.interior[box]
-    return found
+    inside[box] = one.interior[box]
+    return inside

@@ -42,49 +42,49 @@ def run(
     once.join(where)
     tag = tag_of(scene, {"command": "diagnose", "version": __version__, "folds": folds})
     log = open_run_log(out, tag, resume or bool(once.restarts()))
-    found = once.agree(lambda: held_out(scene, where, folds, log, time_limit_s))
+    result = once.agree(lambda: held_out(scene, where, folds, log, time_limit_s))
 
     def write() -> dict[str, Any]:
-        found.final.save(out / "scene.toml")
-        content = content_of(found)
+        result.final.save(out / "scene.toml")
+        content = content_of(result)
         content = write_json(out / "diagnosis.json", scene, where, scene.sampling.seed, started, content)
-        write_report(out / "report.html", found, content, words, where)
-        if not found.not_asked:
+        write_report(out / "report.html", result, content, words, where)
+        if not result.not_asked:
             checkpoint.remove(out)
-        for said in judgement(found):
+        for said in judgement(result):
             console.say(said)
         console.say_written(out, "report.html", "diagnosis.json", "scene.toml")
-        print(sentence(found), file=sys.stdout)
+        print(sentence(result), file=sys.stdout)
         return content
 
     return once.agree(lambda: once.write(write)) or {}
 
 
-def content_of(found: HeldOut) -> dict[str, Any]:
+def content_of(result: HeldOut) -> dict[str, Any]:
     """What diagnosis.json holds."""
     return {
-        "verdict": found.held,
-        "unexplained": not found.ahead,
-        "lead": _advantage_content(found.of_pictures),
-        "lead_of_box": _advantage_content(found.of_box),
-        "box_found": found.box_held,
-        "fronts": {label: {**asdict(step), "words": front_words(label, step)} for label, step in found.fronts.items()},
-        "not_asked": found.not_asked,
-        "ended": found.ended,
-        "folds": found.folds,
-        "steps": [asdict(step) for step in found.steps],
-        "profiles": {name: asdict(profile) for name, profile in found.profiles.items()},
+        "verdict": result.held,
+        "unexplained": not result.ahead,
+        "lead": _advantage_content(result.of_pictures),
+        "lead_of_box": _advantage_content(result.of_box),
+        "box_found": result.box_held,
+        "fronts": {label: {**asdict(step), "words": front_words(label, step)} for label, step in result.fronts.items()},
+        "not_asked": result.not_asked,
+        "ended": result.ended,
+        "folds": result.folds,
+        "steps": [asdict(step) for step in result.steps],
+        "profiles": {name: asdict(profile) for name, profile in result.profiles.items()},
         "left_out": {
-            "deviance_before": float(np.mean(list(found.before.values()))),
-            "deviance_after": float(np.mean(list(found.after.values()))),
-            "views_before": found.before,
-            "views_after": found.after,
-            "predictions": [asdict(row) for row in summaries(found.images)],
+            "deviance_before": float(np.mean(list(result.before.values()))),
+            "deviance_after": float(np.mean(list(result.after.values()))),
+            "views_before": result.before,
+            "views_after": result.after,
+            "predictions": [asdict(row) for row in summaries(result.images)],
         },
-        "effects": dict(without_aims(found.final).effects),
+        "effects": dict(without_aims(result.final).effects),
         "materials": {
             name: one.model_dump(exclude_unset=True, mode="json", warnings=False)
-            for name, one in found.final.materials.items()
+            for name, one in result.final.materials.items()
         },
     }
 

@@ -15,7 +15,7 @@ import warp as wp
 from warpsar.compare.aim import Reach, aimed, aimed_deviance, best_shift, stated_aims, with_aims
 from warpsar.compare.prediction import PredictedImage, compared, measured_of, predicted
 from warpsar.compare.rivals import Seen
-from warpsar.diagnosis.models.change import content, scene_with
+from warpsar.diagnosis.geometry.registry import content, scene_with
 from warpsar.diagnosis.models.refit import standing_at, surface_content, with_surface
 from warpsar.learning.geometry import still
 from warpsar.learning.optimise import levenberg_marquardt
@@ -64,8 +64,8 @@ class FitRays:
             state = levenberg_marquardt(problem, state, moving, flat=FLAT, kept_within=KEPT_WITHIN, straight=True)
             if state.arrived:
                 break
-        found = learned_scene(problem, state.best_x)
-        return FittedViews(replace(scene, materials=found.materials, effects=found.effects), float(state.best_loss))
+        learned = learned_scene(problem, state.best_x)
+        return FittedViews(replace(scene, materials=learned.materials, effects=learned.effects), float(state.best_loss))
 
     def loss_at_start(self, scene: Scene, names: Sequence[str]) -> float:
         """The bounded loss of the views `names` before any fit."""

@@ -26,25 +26,25 @@ SMOOTHED_PX = 3
 PERCENT = 98.0  # of the residual, that its scale holds
 
 
-def sentence(found: HeldOut) -> str:
+def sentence(result: HeldOut) -> str:
     """The verdict and what it did to the views left out, in one line."""
-    before, after = (float(np.mean(list(each.values()))) for each in (found.before, found.after))
-    names = ", ".join(found.held) or "nothing"
-    said = f"found: {names}; deviance of views left out {before:.3f} -> {after:.3f}"
-    if found.not_asked:
-        said += "; the time was over before all was asked"
-    if found.ended:
-        said += f"; the search ended early, for {found.ended}"
-    fronts = [front_words(label, step) for label, step in found.fronts.items() if not _is_known(step)]
-    return "; ".join([said, *([_of_body(found)] if found.advantages else []), *fronts])
+    before, after = (float(np.mean(list(each.values()))) for each in (result.before, result.after))
+    names = ", ".join(result.held) or "nothing"
+    verdict = f"found: {names}; deviance of views left out {before:.3f} -> {after:.3f}"
+    if result.not_asked:
+        verdict += "; the time was over before all was asked"
+    if result.ended:
+        verdict += f"; the search ended early, for {result.ended}"
+    fronts = [front_words(label, step) for label, step in result.fronts.items() if not _is_known(step)]
+    return "; ".join([verdict, *([_of_body(result)] if result.advantages else []), *fronts])
 
 
-def _of_body(found: HeldOut) -> str:
+def _of_body(result: HeldOut) -> str:
     """Whether the model is of this body, in words."""
-    pictures, box = found.of_pictures, found.of_box
-    if found.undecided:
-        return f"no lead is claimed: {_unasked(found)}"
-    if not found.ahead:
+    pictures, box = result.of_pictures, result.of_box
+    if result.undecided:
+        return f"no lead is claimed: {_unasked(result)}"
+    if not result.ahead:
         return "not this body"
     if box is None or pictures is None:
         return "predicts better than pictures of other views"
@@ -53,9 +53,9 @@ def _of_body(found: HeldOut) -> str:
     return "predicts better than pictures of other views; a box does as well, and nothing but speckle is left"
 
 
-def _unasked(found: HeldOut) -> str:
+def _unasked(result: HeldOut) -> str:
     """What an undecided body has not met."""
-    return f"{BOXED} was not asked" if found.of_box is None else f"{BOXED} had no search of its own"
+    return f"{BOXED} was not asked" if result.of_box is None else f"{BOXED} had no search of its own"
 
 
 def _is_known(step: TrialStep) -> bool:
@@ -64,82 +64,82 @@ def _is_known(step: TrialStep) -> bool:
 
 def front_words(label: str, step: TrialStep) -> str:
     """What a body turned round says of its front."""
-    said = f"turned round, {label} changes the deviance of views left out by {-step.gain:+.3f} +- {step.error:.3f}"
-    return said if _is_known(step) else f"which end of {label} is its front is not told ({said})"
+    change = f"turned round, {label} changes the deviance of views left out by {-step.gain:+.3f} +- {step.error:.3f}"
+    return change if _is_known(step) else f"which end of {label} is its front is not told ({change})"
 
 
-def judgement(found: HeldOut) -> list[str]:
+def judgement(result: HeldOut) -> list[str]:
     """How far ahead the model is of each rival, in words."""
-    said = [one.words for one in found.advantages]
-    if found.of_box is not None and THEN in found.images[0].predictions:
-        said[-1] += "; the box was asked before all effects were tried, and is held against the model of that time"
-    if found.undecided:
-        said.append(f"{_unasked(found)}, so no lead is claimed")
-    return [*said, *(front_words(label, step) for label, step in found.fronts.items())]
+    sentences = [one.words for one in result.advantages]
+    if result.of_box is not None and THEN in result.images[0].predictions:
+        sentences[-1] += "; the box was asked before all effects were tried, and is held against the model of that time"
+    if result.undecided:
+        sentences.append(f"{_unasked(result)}, so no lead is claimed")
+    return [*sentences, *(front_words(label, step) for label, step in result.fronts.items())]
 
 
 def write_report(
     path: Path,
-    found: HeldOut,
+    result: HeldOut,
     content: dict[str, Any],
     command: Sequence[str],
     device: wp.Device,
 ) -> None:
     """`content` is that of diagnosis.json, `command` the words that made it."""
-    count = sum(len(fold) for fold in found.folds)
-    rows, cols = found.scene.grid.shape
+    count = sum(len(fold) for fold in result.folds)
+    rows, cols = result.scene.grid.shape
     lead = (
-        f"{Path(found.scene.path or 'the scene').name}: {count} train views of {rows} x {cols} pixels, left out in "
-        f"{len(found.folds)} parts, in arcs of azimuth"
+        f"{Path(result.scene.path or 'the scene').name}: {count} train views of {rows} x {cols} pixels, left out in "
+        f"{len(result.folds)} parts, in arcs of azimuth"
     )
     sections = [
-        _in_short(found),
-        _pictures(found, device),
-        _steps(found),
-        *_profiles(found),
-        _folds(found),
+        _in_short(result),
+        _pictures(result, device),
+        _steps(result),
+        *_profiles(result),
+        _folds(result),
         report.reproduce(
             content, command, "Beside this file: diagnosis.json (all numbers), scene.toml (the model at the end)."
         ),
     ]
-    title = sentence(found)
+    title = sentence(result)
     report.write(path, report.page(title[0].upper() + title[1:] + ".", lead, *sections))
 
 
-def _in_short(found: HeldOut) -> str:
-    said = [
+def _in_short(result: HeldOut) -> str:
+    sentences = [
         "Every train view is predicted by a model that has not seen it, nor its neighbours. The rivals need no "
         "physics: the nearest measured view turned as a picture, the one nearest to the mirrored azimuth, and the "
         "mean of all. The box has the body's extents, and the better of two sets of effects: what was found for the "
         "body, and what a search of its own found. All is fitted anew, sizes too. A body that predicts no better than "
         "the box has told nothing of itself. Turned round, the body is fitted anew in the same way."
     ]
-    said += [f"The time was over; not asked: {one}." for one in found.not_asked]
-    if found.box_held is not None:
-        said.append(f"The box's own search found: {', '.join(found.box_held) or 'nothing'}.")
-    said += [f"The search ended before every effect was asked, for {found.ended}."] if found.ended else []
-    said += [f"{words[0].upper()}{words[1:]}." for words in judgement(found)]
-    return report.section("In short", *map(report.paragraph, said), prediction_table(summaries(found.images)))
+    sentences += [f"The time was over; not asked: {one}." for one in result.not_asked]
+    if result.box_held is not None:
+        sentences.append(f"The box's own search found: {', '.join(result.box_held) or 'nothing'}.")
+    sentences += [f"The search ended before every effect was asked, for {result.ended}."] if result.ended else []
+    sentences += [f"{words[0].upper()}{words[1:]}." for words in judgement(result)]
+    return report.section("In short", *map(report.paragraph, sentences), prediction_table(summaries(result.images)))
 
 
-def _pictures(found: HeldOut, device: wp.Device) -> str:
+def _pictures(result: HeldOut, device: wp.Device) -> str:
     """Some views, and the residuals of the model as declared and at the end, each at its aim point."""
-    train = [view for view in found.scene.views if view.role == "train" and view.images]
+    train = [view for view in result.scene.views if view.role == "train" and view.images]
     ordered = sorted(train, key=lambda view: view.azimuth_deg % 360.0)
     chosen = [ordered[int(k)] for k in np.linspace(0, len(ordered), min(SHOWN, len(ordered)), endpoint=False)]
     pol = next(iter(chosen[0].images))
-    shifts = {image.view.name: image.predictions for image in found.images if image.polarization == pol}
+    shifts = {image.view.name: image.predictions for image in result.images if image.polarization == pol}
     models: dict[str, list[np.ndarray]] = {
-        "before": _planes(found.declared, chosen, pol, device),
-        "after": _planes(found.final, chosen, pol, device),
+        "before": _planes(result.declared, chosen, pol, device),
+        "after": _planes(result.final, chosen, pol, device),
     }
-    reach = Reach.of(found.scene)
-    grid = found.scene.grid
+    reach = Reach.of(result.scene)
+    grid = result.scene.grid
     shape = reach.window(np.empty(grid.shape)).shape
-    axes = image_axes(replace(found.scene, grid=grid.model_copy(update={"shape": shape}), views=[]))
+    axes = image_axes(replace(result.scene, grid=grid.model_copy(update={"shape": shape}), views=[]))
     rows: list[tuple[str, np.ndarray, dict[str, np.ndarray]]] = []
     for number, view in enumerate(chosen):
-        measured = measured_of(found.scene, view, pol)
+        measured = measured_of(result.scene, view, pol)
         names: Mapping[str, str] = {"before": "before", "after": "model"}
         planes = {}
         for when, name in names.items():
@@ -180,7 +180,7 @@ def _mean(power: np.ndarray) -> np.ndarray:
     return np.asarray(uniform_filter(np.nan_to_num(power), SMOOTHED_PX, mode="nearest"))
 
 
-def _steps(found: HeldOut) -> str:
+def _steps(result: HeldOut) -> str:
     rows = [
         [
             step.label + (" (asked again)" if step.again else "") + (" (first part)" if step.glance else ""),
@@ -189,9 +189,9 @@ def _steps(found: HeldOut) -> str:
             f"{step.noise:.4f}" if step.noise else "",
             "yes" if step.stays else "",
         ]
-        for step in found.steps
+        for step in result.steps
     ]
-    said = (
+    sentences = (
         "In the order in which they were tried. The gain is that of the mean deviance of the views left out, of which "
         "speckle leaves 1. A trial stays if its gain, less its standard error, is above the noise: what a fit with "
         "nothing new gains on other rays. A hypothesis that gains nothing on the first part gets no other fit. Effects "
@@ -199,24 +199,24 @@ def _steps(found: HeldOut) -> str:
         "errors."
     )
     head = ("tried", "gain of views left out", "standard error", "noise", "stays")
-    return report.section("What was tried", report.paragraph(said), report.table(head, rows))
+    return report.section("What was tried", report.paragraph(sentences), report.table(head, rows))
 
 
-def _profiles(found: HeldOut) -> list[str]:
-    if not found.profiles:
+def _profiles(result: HeldOut) -> list[str]:
+    if not result.profiles:
         return []
     rows = [
         [one.label, f"{one.known:.4g} ± {one.known_sd:.2g}", f"{one.value:.4g} ± {one.half:.2g}", one.unit]
-        for one in found.profiles.values()
+        for one in result.profiles.values()
     ]
-    said = (
+    sentences = (
         "Where the views left out are predicted best, each number moved by itself. ± of what was known is one standard "
         "deviation; of what was found the 95 % interval by a jackknife over arcs of neighbouring views."
     )
     head = ("number", "known", "found", "unit")
-    return [report.section("Sizes and angles", report.paragraph(said), report.table(head, rows))]
+    return [report.section("Sizes and angles", report.paragraph(sentences), report.table(head, rows))]
 
 
-def _folds(found: HeldOut) -> str:
-    items = [", ".join(fold) for fold in found.folds]
+def _folds(result: HeldOut) -> str:
+    items = [", ".join(fold) for fold in result.folds]
     return report.section("Views left out together", report.bullets(items))

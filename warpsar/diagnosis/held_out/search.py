@@ -255,10 +255,10 @@ class FoldSearch:
         pending = True
         while True:
             self._doing = "whether another effect is missing"
-            found = self._turn(self._model, refused)
-            if found is None:
+            model = self._turn(self._model, refused)
+            if model is None:
                 break
-            self._model, pending = found, True
+            self._model, pending = model, True
             if self.steps[-1].gain > MATTERS:
                 offsets, pending = self._geometry(offsets), False
                 self._ask_fronts()
@@ -280,11 +280,11 @@ class FoldSearch:
 
     def _images(self, models: Mapping[str, Sequence[Scene]]) -> list[PredictedImage]:
         """The views left out beside what models that have not seen them predict, and beside the rivals."""
-        found = []
+        images = []
         for part, left in enumerate(self.folds):
             scenes = {name: scenes[part] for name, scenes in models.items()}
-            found += self.trained.beside(scenes, left, self._rest(part))
-        return found
+            images += self.trained.beside(scenes, left, self._rest(part))
+        return images
 
     def _by_name(self, scores: np.ndarray) -> dict[str, float]:
         return dict(zip(self.order, (scores / EXPECTED).tolist(), strict=True))
@@ -295,18 +295,18 @@ class FoldSearch:
     def _scored(self, scenes: Sequence[Scene], first: np.ndarray | None = None) -> np.ndarray:
         """The scores of all views; `first` are those of the first part where they are known."""
         check()
-        found: dict[str, float] = {}
+        scores: dict[str, float] = {}
         for part, (scene, left) in enumerate(zip(scenes, self.folds, strict=True)):
             own = first if first is not None and not part else self.trained.scores(scene, left)
-            found |= dict(zip(left, own.tolist(), strict=True))
-        return np.array([found[name] for name in self.order])
+            scores |= dict(zip(left, own.tolist(), strict=True))
+        return np.array([scores[name] for name in self.order])
 
     def _fitted(
-        self, begun: Sequence[Scene], enough: Callable[[np.ndarray], bool] = lambda scores: False
+        self, starts: Sequence[Scene], enough: Callable[[np.ndarray], bool] = lambda scores: False
     ) -> Model | None:
         """The model fitted, the first part by all cores, the others side by side. None where the scores of the first
         part's views, in their order in the fold, are `enough` to know."""
-        tasks = [partial(self.fits.fitted, scene, self._rest(part)) for part, scene in enumerate(begun)]
+        tasks = [partial(self.fits.fitted, scene, self._rest(part)) for part, scene in enumerate(starts)]
 
         def first_part() -> tuple[list[Scene], np.ndarray]:
             scene = tasks[0]().scene
@@ -338,10 +338,10 @@ class FoldSearch:
             lambda: self._scored([change(scene) for scene in now]), lambda found: found.tolist(), np.array
         )
 
-    def _surely_fitted(self, begun: Sequence[Scene]) -> Model:
-        found = self._fitted(begun)
-        assert found is not None
-        return found
+    def _surely_fitted(self, starts: Sequence[Scene]) -> Model:
+        model = self._fitted(starts)
+        assert model is not None
+        return model
 
     def _again(self, model: Model) -> Model:
         """The model fitted with nothing new, on other rays."""
@@ -572,12 +572,12 @@ class FoldSearch:
         as a box is its own rival, which says nothing before the end."""
         if self._met is None or _is_speckle(self._met.scores / EXPECTED):
             return False
-        lead = self._over_box()
-        return lead is not None and lead.correlation <= SURE * lead.error and lead.deviance <= 0.0
+        margin = self._over_box()
+        return margin is not None and margin.correlation <= SURE * margin.error and margin.deviance <= 0.0
 
     def _ahead_of_box(self) -> bool:
-        lead = self._over_box()
-        return lead is not None and lead.ahead
+        margin = self._over_box()
+        return margin is not None and margin.ahead
 
     def _over_box(self) -> Advantage | None:
         """How far the model that met the box is ahead of it; None where none was met, or the body is a box itself."""

@@ -29,14 +29,14 @@ def worst_view(left: Left) -> np.ndarray:
     return html_image.framed(residual_rgb(residual, REACH_SD), left.shape.rectangle)
 
 
-def in_plan(found: Diagnosis, left: Left) -> tuple[np.ndarray, ImageAxis, ImageAxis]:
+def in_plan(diagnosis: Diagnosis, left: Left) -> tuple[np.ndarray, ImageAxis, ImageAxis]:
     """RGB of the residual where it lies on the surface, north up, and its axes: the mean over all views that see it."""
-    scene = found.final.scene
+    scene = diagnosis.final.scene
     cell = 1.5 * float(max(scene.grid.spacing_m))
     rows, cols = scene.grid.shape
     places, values, weights = [], [], []
-    for seen, residual, mask in zip(found.observations, left.residuals, left.masks, strict=True):
-        hits = found.setup.rays_of(found.final.scene).hits(found.final.scene, seen.view, [])
+    for seen, residual, mask in zip(diagnosis.observations, left.residuals, left.masks, strict=True):
+        hits = diagnosis.setup.rays_of(diagnosis.final.scene).hits(diagnosis.final.scene, seen.view, [])
         pixel = hits.pixel.numpy()
         use = (pixel < rows * cols) & mask.ravel()[np.minimum(pixel, rows * cols - 1)]
         mean = uniform_filter(residual, SMOOTHED) / np.maximum(uniform_filter(mask.astype(float), SMOOTHED), 1e-6)

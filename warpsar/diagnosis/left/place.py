@@ -65,13 +65,13 @@ class ResidualPlace:
     views: list[InView]
 
 
-def place(found: Diagnosis, images: Sequence[Comparison], spot: Spot) -> ResidualPlace:
+def place(diagnosis: Diagnosis, images: Sequence[Comparison], spot: Spot) -> ResidualPlace:
     """Back-project the spot; `images` are the final model's."""
-    scene = found.final.scene
-    seen = found.observations[spot.observation]
+    scene = diagnosis.final.scene
+    seen = diagnosis.observations[spot.observation]
     train = [image for image in images if image.role == "train"]
     rows, cols = scene.grid.shape
-    hits = _hits(found, seen.view)
+    hits = _hits(diagnosis, seen.view)
     shift = shift_px(scene, seen.view)
     pixel = hits.pixel.numpy()
     high, wide = spot.window
@@ -82,7 +82,9 @@ def place(found: Diagnosis, images: Sequence[Comparison], spot: Spot) -> Residua
     middle = [
         (i + 0.5 - n / 2) * s for i, n, s in zip((spot.row, spot.col), (rows, cols), scene.grid.spacing_m, strict=True)
     ]
-    views = [] if not parts else [_in_view(found, image, np.array(parts[0].centre_m), spot.window) for image in images]
+    views = (
+        [] if not parts else [_in_view(diagnosis, image, np.array(parts[0].centre_m), spot.window) for image in images]
+    )
     return ResidualPlace(
         view=seen.view.name,
         polarization=seen.polarization,
@@ -98,9 +100,9 @@ def place(found: Diagnosis, images: Sequence[Comparison], spot: Spot) -> Residua
     )
 
 
-def _hits(found: Diagnosis, view: View) -> Hits:
+def _hits(diagnosis: Diagnosis, view: View) -> Hits:
     """What the view lights, binned by its pixels."""
-    return found.setup.rays_of(found.final.scene).hits(found.final.scene, view, [])
+    return diagnosis.setup.rays_of(diagnosis.final.scene).hits(diagnosis.final.scene, view, [])
 
 
 def _parts(scene: Scene, hits: Hits, inside: np.ndarray) -> list[SurfacePart]:
@@ -122,8 +124,8 @@ def _parts(scene: Scene, hits: Hits, inside: np.ndarray) -> list[SurfacePart]:
     return sorted(found, key=lambda part: -part.share)
 
 
-def _in_view(found: Diagnosis, image: Comparison, world: np.ndarray, window: Window) -> InView:
-    scene = found.final.scene
+def _in_view(diagnosis: Diagnosis, image: Comparison, world: np.ndarray, window: Window) -> InView:
+    scene = diagnosis.final.scene
     row, col = (
         int(np.floor(at[0])) for at in pixel_of(scene, image.seen.view, (world - scene.reference_point_m)[None])
     )
@@ -142,10 +144,10 @@ def _window_db(image: Comparison, row: int, col: int, window: Window) -> float:
     return float(10.0 * np.log10(ratio))
 
 
-def residual_on(side: MeshView, found: Diagnosis, images: Sequence[Comparison]) -> np.ndarray:
+def residual_on(side: MeshView, diagnosis: Diagnosis, images: Sequence[Comparison]) -> np.ndarray:
     """Measured over modelled power [dB] at every ray of a picture of the mesh, averaged over `SMOOTHED` pixels and the
     train views that see the place; nan where none does, shape (n,)."""
-    scene = found.final.scene
+    scene = diagnosis.final.scene
     rows, cols = scene.grid.shape
     faces = len(scene.mesh.faces)
     total, count = np.zeros((2, len(side.point)))
@@ -165,7 +167,7 @@ def residual_on(side: MeshView, found: Diagnosis, images: Sequence[Comparison]) 
         pixel = row.astype(int) * cols + col.astype(int)
         shift = shift_px(scene, image.seen.view)
         unmoved = np.floor(row - shift[0]).astype(int) * cols + np.floor(col - shift[1]).astype(int)
-        hits = _hits(found, image.seen.view)
+        hits = _hits(diagnosis, image.seen.view)
         seen = np.isin(unmoved * faces + side.face[on], hits.pixel.numpy().astype(np.int64) * faces + hits.face.numpy())
         on, pixel = on[seen], pixel[seen]
         total[on] += power[0].ravel()[pixel] / power[1].ravel()[pixel]

@@ -155,21 +155,21 @@ class Left:
     spread: float
 
 
-def left_of(found: Diagnosis, images: Sequence[Comparison], spot: Spot, unexplained: bool) -> Left:
+def left_of(diagnosis: Diagnosis, images: Sequence[Comparison], spot: Spot, unexplained: bool) -> Left:
     """What `images`, the final model's, leave; `spot` is the strongest window. Nothing is fitted or decided here."""
     train = [image for image in images if image.role == "train"]
     seen = [now.seen for now in train]
     dark = [dark_of(image) for image in train]
     lit = [
         ((one.interior & image.interior) | (one.silent & (image.simulated > pixels.allowed))) & ~one.dark
-        for one, image, pixels in zip(found.observations, train, dark, strict=True)
+        for one, image, pixels in zip(diagnosis.observations, train, dark, strict=True)
     ]
     masks = [(one | (image.scatters & image.usable)) & ~image.seen.dark for one, image in zip(lit, train, strict=True)]
     residuals = [np.where(mask, image.residual, 0.0) for image, mask in zip(train, masks, strict=True)]
     patches = [Patch(mask, _ratio(image, mask), image.seen.law) for image, mask in zip(train, lit, strict=True)]
     autocovariance, _ = own_autocovariance(patches)  # what is left shall not excuse itself
     spread = max(float(autocovariance.sum()), 1e-3)
-    last = found.turns[-1]
+    last = diagnosis.turns[-1]
     number, in_the_dark = spot.observation, False
     if last.dark is not None and last.dark.minus_log_p > max(last.scan_minus_log_p, last.threshold):
         # the search may have had shadows for dark pixels, which here are pixels as all others
@@ -180,10 +180,10 @@ def left_of(found: Diagnosis, images: Sequence[Comparison], spot: Spot, unexplai
         residuals = [_with_dark(one, pixels) for one, pixels in zip(residuals, dark, strict=True)]
     else:
         field, mask = residuals[number], masks[number]
-    shape, spectrum = shape_of(field, mask, autocovariance, found.scene.grid.spacing_m)
+    shape, spectrum = shape_of(field, mask, autocovariance, diagnosis.scene.grid.spacing_m)
     ratio_db, error_db = _in_rectangle(train[number], mask, shape, spread, NOTHING * dark[number].allowed)
-    places = [surface_in_pixels(found.setup, found.final.scene, one.view) for one in seen]
-    materials = found.final.scene.mesh.materials
+    places = [surface_in_pixels(diagnosis.setup, diagnosis.final.scene, one.view) for one in seen]
+    materials = diagnosis.final.scene.mesh.materials
 
     def shares(names: Sequence[str], of: Callable[[int], np.ndarray]) -> list[PowerRatio]:
         """A share for each name; `of` gives its number in every pixel of an image."""
@@ -205,7 +205,7 @@ def left_of(found: Diagnosis, images: Sequence[Comparison], spot: Spot, unexplai
         spectrum=spectrum,
         ratio_db=ratio_db,
         error_db=error_db,
-        moves=moves_with(found.setup, found.final.scene, seen, residuals, spread),
+        moves=moves_with(diagnosis.setup, diagnosis.final.scene, seen, residuals, spread),
         views=shares([one.name for one in train], lambda k: np.full(lit[k].shape, k)),
         surfaces=shares(materials, lambda k: places[k][0]),
         incidences=shares(angles, lambda k: np.floor(np.nan_to_num(places[k][1], nan=-1.0) / ANGLE_DEG)),

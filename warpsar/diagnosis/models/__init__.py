@@ -4,10 +4,9 @@ fit_setup.py     rays and pixels that all fits share
 frozen.py        which pixels are compared
 judge.py         models beside all measured images, test views among them
 refit.py         full fits of a model
-change.py        a change of geometry that may explain what is left
+change.py        how bodies of a scene differ from the declared ones
 names.py         what a finding is called
-sensor.py        wrong angles and pixel spacings
-movable.py       which bodies may stand elsewhere or be absent
+movable.py       which bodies may be moved, and what a fit frees of them
 all_pixels.py    models compared on lit and unlit pixels
 effect_gain.py   how far the likeliest effect is ahead of any body
 left_out.py      what views left out say of an effect

@@ -13,8 +13,7 @@ import numpy as np
 from scipy.ndimage import minimum_filter, uniform_filter
 
 from warpsar.compare.observation import TRACE, Observation, usable_pixels
-from warpsar.diagnosis.dark.evidence import DARK_PIXELS
-from warpsar.diagnosis.models.fit_setup import FitSetup
+from warpsar.diagnosis.models.fit_setup import DARK_PIXELS, FitSetup
 from warpsar.diagnosis.models.left_out import column_blocks
 from warpsar.diagnosis.models.movable import standing
 from warpsar.diagnosis.models.refit import BOUND, Fitted, refit_as

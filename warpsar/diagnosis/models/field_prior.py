@@ -34,7 +34,7 @@ def has_fields(scene: Scene) -> bool:
 
 
 def with_roughness(setup: FitSetup, scene: Scene, seed: int) -> tuple[FitSetup, np.ndarray]:
-    """The bench that expects what the images say of the fields, and the x that the declared model has arrived at.
+    """The setup that expects what the images say of the fields, and the x that the declared model has arrived at.
 
     Expectation and maximisation by turns: a fit at the present precisions, then those that its fields and their errors
     make likeliest (`Roughness.expected`). They are found once, with the declared model, so that all models are compared

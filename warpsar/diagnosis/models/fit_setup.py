@@ -23,6 +23,7 @@ from warpsar.world.mesh import Mesh
 
 T = TypeVar("T")
 
+DARK_PIXELS = 50  # fewer pixels than this that are far from everything lit say nothing
 MOST_KEPT = 8  # sets of rays: two seeds of the models that one turn compares
 
 

@@ -122,12 +122,12 @@ def with_speckle(scene: Scene, fact: SpeckleFact) -> Scene:
 
 def _factors(scene: Scene, fact: SpeckleFact) -> dict[str, float]:
     """By view, what its declared looks are multiplied by."""
-    found = {}
+    factors = {}
     for view in scene.views:
-        told = [fact.looks[f"{view.name} {pol}"].value for pol in view.images if f"{view.name} {pol}" in fact.looks]
-        if told and view.looks is not None:
-            found[view.name] = float(np.mean(told)) / view.looks
-    return found
+        looks = [fact.looks[f"{view.name} {pol}"].value for pol in view.images if f"{view.name} {pol}" in fact.looks]
+        if looks and view.looks is not None:
+            factors[view.name] = float(np.mean(looks)) / view.looks
+    return factors
 
 
 def _found_of(view: View, fact: SpeckleFact, factors: Mapping[str, float]) -> View:

@@ -116,11 +116,11 @@ def summed(
 
 def _gain(seen: Observation, without: np.ndarray, with_it: np.ndarray) -> np.ndarray:
     """Log-likelihood that every pixel gains, and what it would gain on average if beta0 were `with_it`; (2, n)."""
-    found = [
+    gains = [
         loss_terms("gamma", beta0, without, seen.looks) - loss_terms("gamma", beta0, with_it, seen.looks)
         for beta0 in (seen.values, with_it)
     ]
-    return np.stack(found)
+    return np.stack(gains)
 
 
 def _with_the_others(setup: FitSetup, fitted: Fitted, effect: str, name: str) -> Scene:
@@ -138,16 +138,16 @@ def _with_the_others(setup: FitSetup, fitted: Fitted, effect: str, name: str) ->
 
 def _by_halves(setup: FitSetup, model: Fitted, name: str) -> list[np.ndarray]:
     """beta0 of every pixel of each observation of a view, fitted to the other views and the other half of this."""
-    found = [np.empty(seen.pixels.size) for seen in setup.observations[name]]
+    images = [np.empty(seen.pixels.size) for seen in setup.observations[name]]
     for half in (0, 1):
         part = [replace(s, interior=s.interior & column_blocks(s, half)) for s in setup.observations[name]]
         problem = replace(setup, observations={**setup.observations, name: part}).problem(model.scene)
         x, _, _ = descend(problem, [problem.x0], quick=True)
         modelled = _modelled(setup, learned_scene(problem, x), name)
-        for into, seen, mu in zip(found, setup.observations[name], modelled, strict=True):
+        for into, seen, mu in zip(images, setup.observations[name], modelled, strict=True):
             judged = ~column_blocks(seen, half)[seen.interior]
             into[judged] = mu[judged]
-    return found
+    return images
 
 
 def _over_columns(setup: FitSetup, base: Fitted, fitted: Fitted, name: str) -> float:

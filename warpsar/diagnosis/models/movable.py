@@ -1,15 +1,12 @@
-"""Which bodies of a scene may stand elsewhere or be absent, and what a fit frees of them."""
+"""Which bodies of a scene may be moved, and what a fit frees of them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
-from warpsar.diagnosis.models.change import MISSING, SIZE, changes
-from warpsar.diagnosis.models.names import kind_of, object_of
-from warpsar.diagnosis.models.sensor import is_sensor
+from warpsar.diagnosis.models.change import differences
 from warpsar.effects.registry import get
 from warpsar.scene.placing import with_objects
 from warpsar.scene.scene import Scene
@@ -26,7 +23,7 @@ def bodies(declared: Scene, scene: Scene) -> dict[str, np.ndarray]:
     Groups of the same faces are one. A group that shares a face with an object is none: one of them would move alone.
     Faces of objects are counted from the last one of the mesh backwards.
     """
-    changed = {object_of(name) for name in changes(declared, scene) if not is_sensor(name)}
+    changed = {one.label for one in differences(declared, scene)}
     total = float(_plan_area(scene.mesh.vertices, scene.mesh.faces))
     found: dict[str, np.ndarray] = {}
     seen: set[bytes] = set()
@@ -73,36 +70,6 @@ def disjoint(found: dict[str, np.ndarray], most: int) -> Iterable[list[str]]:
     return [names for names, _ in lists]
 
 
-def freed(scene: Scene, labels: Sequence[str], learn: Sequence[Learnable] = ()) -> Scene:
-    """The scene with what a fit may change of the objects or groups `labels`, and nothing of the others.
-
-    `learn` goes for all of them; by default it is what their kind allows (`words_of`). Length, width and height of a
-    mesh are freed each by itself.
-    """
-    objects = [
-        _freed(one, tuple(learn) or words_of(one)) if one.label in labels else one.model_copy(update={"learn": ()})
-        for one in scene.objects
-    ]
-    standing = {one.label for one in objects}
-    objects += [_freed(Object(group=name), tuple(learn) or POSE_WORDS) for name in labels if name not in standing]
-    return with_objects(scene, objects)
-
-
-def _freed(one: Object, learn: tuple[Learnable, ...]) -> Object:
-    words = tuple(size_word(one) if word in ("scale", "size") else word for word in learn)
-    return one.model_copy(update={"learn": words, **({"scale": one.scales} if "scale" in words else {})})
-
-
-def sized(one: Object) -> Object:
-    """The object with its size free, beside what is."""
-    return _freed(one, (*one.learn, "scale"))
-
-
-def size_word(one: Object) -> Learnable:
-    """What a fit of a body's length, width and height frees: those of a primitive, or factors on those of a mesh."""
-    return "scale" if one.primitive is None else "size"
-
-
 POSE_WORDS: tuple[Learnable, ...] = ("position", "heading")
 
 
@@ -111,12 +78,27 @@ def words_of(one: Object) -> tuple[Learnable, ...]:
     return ("position",) if one.round else POSE_WORDS
 
 
-def found_words(one: Object) -> tuple[Learnable, ...]:
-    """What is fitted of an object that the scene did not have. A sphere is a point, whose size means nothing, and a
-    round cylinder, which has the heading 0, stays without one."""
-    if one.primitive == "sphere":
-        return ("position",)
-    return ("position", "size") if one.primitive == "cylinder" and one.heading_deg == 0.0 else (*POSE_WORDS, "size")
+def freed(scene: Scene, labels: Sequence[str], words: Callable[[Object], tuple[Learnable, ...]] = words_of) -> Scene:
+    """The scene with what a fit may change of the objects or groups `labels`, and nothing of the others.
+
+    `words` says what of each of them. Length, width and height of a mesh are freed each by itself.
+    """
+    objects = [
+        _freed(one, words(one)) if one.label in labels else one.model_copy(update={"learn": ()})
+        for one in scene.objects
+    ]
+    known = {one.label for one in objects}
+    groups = (Object(group=name) for name in labels if name not in known)
+    return with_objects(scene, [*objects, *(_freed(one, words(one)) for one in groups)])
+
+
+def _freed(one: Object, learn: tuple[Learnable, ...]) -> Object:
+    return one.model_copy(update={"learn": learn, **({"scale": one.scales} if "scale" in learn else {})})
+
+
+def size_word(one: Object) -> Learnable:
+    """What a fit of a body's length, width and height frees: those of a primitive, or factors on those of a mesh."""
+    return "scale" if one.primitive is None else "size"
 
 
 def standing(scene: Scene) -> list[str]:
@@ -136,29 +118,6 @@ def placeable(declared: Scene, scene: Scene, labels: Iterable[str]) -> bool:
     another body, which has not moved."""
     free = any(get(name).sets_positions and not table.get("fixed") for name, table in scene.effects.items())
     return not free or bool(set(bodies(declared, scene)) - set(labels))
-
-
-def refined_words(declared: Scene, scene: Scene) -> dict[str, tuple[Learnable, ...]]:
-    """What is fitted again of each changed object that stands in `scene`: of one that was missing, its size as well; of
-    one that is of another size, the size alone, about its foot."""
-    kinds = {object_of(name): kind_of(name) for name in changes(declared, scene) if not is_sensor(name)}
-    changed = set(kinds)
-    words = {one.label: _words_of_kind(kinds[one.label], one) for one in scene.objects if one.label in changed}
-    if not placeable(declared, scene, changed):
-        words = {label: tuple(word for word in found if word != "position") for label, found in words.items()}
-    return {label: found for label, found in words.items() if found}
-
-
-def _words_of_kind(kind: str, one: Object) -> tuple[Learnable, ...]:
-    if kind == SIZE:
-        return (size_word(one),)
-    return found_words(one) if kind == MISSING else words_of(one)
-
-
-def with_words(scene: Scene, words: dict[str, tuple[Learnable, ...]]) -> Scene:
-    """The scene whose objects have these `learn`; the others have none."""
-    objects = tuple(one.model_copy(update={"learn": words.get(one.label, ())}) for one in scene.objects)
-    return replace(scene, objects=objects)
 
 
 def _plan_area(vertices: np.ndarray, faces: np.ndarray) -> float:

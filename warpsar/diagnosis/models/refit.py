@@ -45,7 +45,7 @@ PACE_FROM, STANDS = 9, 0.5
 class Fitted:
     """A model at its best: `scene` holds what was learned; `log_likelihood` over the lit interior alone, up to a
     constant that all models share, and `whole` over all pixels that were fitted, both of what the scene knows to a
-    tolerance too; `size`, the number of fitted parameters. Both are bounded as the bench's losses are, on which the
+    tolerance too; `size`, the number of fitted parameters. Both are bounded as the setup's losses are, on which the
     model was fitted."""
 
     scene: Scene
@@ -63,10 +63,10 @@ class Fitted:
 
     def content(self) -> dict[str, Any]:
         """Where the fit began and where it ended, for a checkpoint (JSON's types) and for other processes."""
-        begun = self.problem.scene
+        start = self.problem.scene
         return {
-            "materials": surface_content(begun),
-            "effects": begun.effects,
+            "materials": surface_content(start),
+            "effects": start.effects,
             "x": self.x.tolist(),
             "log_likelihood": self.log_likelihood,
             "whole": self.whole,
@@ -76,8 +76,8 @@ class Fitted:
     @classmethod
     def of(cls, setup: FitSetup, scene: Scene, content: Mapping[str, Any]) -> Fitted:
         """The model of which `content` is; `scene` is of the same mesh and views."""
-        begun = replace(with_surface(scene, content["materials"]), effects=content["effects"])
-        problem, x = setup.problem(begun), np.array(content["x"])
+        start = replace(with_surface(scene, content["materials"]), effects=content["effects"])
+        problem, x = setup.problem(start), np.array(content["x"])
         return cls(
             learned_scene(problem, x), problem, x, content["log_likelihood"], content["whole"], content["iterations"]
         )
@@ -187,7 +187,7 @@ def _fit(setup: FitSetup, problem: FitProblem, starts: Iterable[np.ndarray], *, 
 
 
 def on_bounded_ground(setup: FitSetup, base: Fitted, declared: Scene) -> tuple[FitSetup, Fitted]:
-    """Where scores are taken and candidates are compared: the bench that bounds what a pixel can cost, and `base`
+    """Where scores are taken and candidates are compared: the setup that bounds what a pixel can cost, and `base`
     fitted again on it.
 
     A few pixels a thousand times too bright would else drag the surface to where the effect that made them leaves no
@@ -263,7 +263,7 @@ def narrow(setup: FitSetup, other: FitSetup, fitted: Fitted) -> tuple[FitSetup, 
 
 
 def narrowed_to(setup: FitSetup, problem: FitProblem) -> FitSetup:
-    """The bench with those of its pixels that a problem, which has run, lights with all their neighbours."""
+    """The setup with those of its pixels that a problem, which has run, lights with all their neighbours."""
     observations: dict[str, list[Observation]] = {}
     for view in problem.views:
         for seen in setup.observations[view.view.name]:
@@ -275,7 +275,7 @@ def narrowed_to(setup: FitSetup, problem: FitProblem) -> FitSetup:
 
 
 def _with(setup: FitSetup, observations: Mapping[str, list[Observation]]) -> FitSetup:
-    """The bench with other observations; the same where the pixels are."""
+    """The setup with other observations; the same where the pixels are."""
     pairs = [(a, b) for name in observations for a, b in zip(observations[name], setup.observations[name], strict=True)]
     if all((a.interior == b.interior).all() for a, b in pairs):
         return setup
@@ -283,15 +283,15 @@ def _with(setup: FitSetup, observations: Mapping[str, list[Observation]]) -> Fit
 
 
 def _known_by_rays(setup: FitSetup, other: FitSetup, fitted: Fitted) -> FitSetup:
-    """The bench with those of its pixels that two sets of rays know well enough; the model, of the first, has run."""
+    """The setup with those of its pixels that two sets of rays know well enough; the model, of the first, has run."""
     again = replace(other, observations=setup.observations).problem(fitted.problem.scene)
     again.modelled(fitted.x)
     observations: dict[str, list[Observation]] = {}
     for one, two in zip(fitted.problem.views, again.views, strict=True):
         for seen in setup.observations[one.view.name]:
             image, other_image = (image_of(each, seen.polarization) for each in (one, two))
-            told = once.decide(known_by_rays(image, other_image, seen.looks)) > 0
-            observations.setdefault(one.view.name, []).append(replace(seen, interior=seen.interior & told))
+            known = once.decide(known_by_rays(image, other_image, seen.looks)) > 0
+            observations.setdefault(one.view.name, []).append(replace(seen, interior=seen.interior & known))
     return _with(setup, observations)
 
 

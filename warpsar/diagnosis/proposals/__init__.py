@@ -1,6 +1,5 @@
-"""What the mesh lacks: an object that several views agree on.
+"""What `geometry/missing_object.py` tries: an object that several views agree on.
 
-search.py    an object that the mesh lacks
 bodies.py    which body stands in a place
 fit.py       an object on trial
 left_out.py  whether it explains what is seen, also in views left out

@@ -78,8 +78,8 @@ def likeliest(ground: TrialGround, without: Standing, place: BodyPlace, cost: fl
 def _other_bodies(ground: TrialGround, box: Tried, cost: float) -> list[Tried]:
     tried = []
     for shape in shapes.others(box.standing.scene.objects[-1]):
-        found = _fitted(ground, shape, _own(box), GLANCE_STEPS)
-        tried.append(_again(ground, found) if found.worth(cost) > box.worth(cost) else found)
+        body = _fitted(ground, shape, _own(box), GLANCE_STEPS)
+        tried.append(_again(ground, body) if body.worth(cost) > box.worth(cost) else body)
     return tried
 
 
@@ -93,8 +93,8 @@ def _first_box(ground: TrialGround, place: BodyPlace, name: str) -> Tried:
     starts = [(shape, _as_it_stands(ground, _with(ground, shape, material), blur_m)) for shape in (first, *turned)]
     shape, start = min(starts, key=lambda one: one[1].loss)
     blurred = ground.settled(start.scene, blur_m, most=QUICK_STEPS, flat=QUICK_FLAT)
-    found = _tidied(ground, blurred.scene)
-    return Tried(shape, ground.settled(found, most=2 * QUICK_STEPS, flat=QUICK_FLAT))
+    scene = _tidied(ground, blurred.scene)
+    return Tried(shape, ground.settled(scene, most=2 * QUICK_STEPS, flat=QUICK_FLAT))
 
 
 def _fitted(ground: TrialGround, shape: TrialBody, material: Material, steps: int, blur_m: float = 0.0) -> Tried:
@@ -116,12 +116,12 @@ def _rounded(ground: TrialGround, tried: Tried) -> list[Tried]:
 
 def _of_known_materials(ground: TrialGround, tried: Tried) -> list[Tried]:
     """The same body, of one of the scene's own materials that are no fields."""
-    found = []
+    bodies = []
     for name in (name for name, one in ground.scene.materials.items() if not _fields(one)):
         table = tried.standing.scene.objects[-1].model_copy(update={"material": name})
         scene = alone(ground.holding(table))
-        found.append(Tried(tried.shape, _as_it_stands(ground, scene)))
-    best = min(found, key=lambda one: one.standing.loss, default=None)
+        bodies.append(Tried(tried.shape, _as_it_stands(ground, scene)))
+    best = min(bodies, key=lambda one: one.standing.loss, default=None)
     return [] if best is None else [_again(ground, best)]
 
 

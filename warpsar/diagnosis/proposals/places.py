@@ -138,8 +138,8 @@ class Looked:
 
 def _all_but_the_best(both: np.ndarray) -> np.ndarray:
     """The sum over images, shape (2, places), of shape (images, 2, places), without that of the largest score."""
-    found = both.sum(axis=0) - np.take_along_axis(both, both[:, :1].argmax(axis=0)[None], axis=0)[0]
-    return np.asarray(found)
+    rest = both.sum(axis=0) - np.take_along_axis(both, both[:, :1].argmax(axis=0)[None], axis=0)[0]
+    return np.asarray(rest)
 
 
 def _points(scene: Scene) -> np.ndarray:

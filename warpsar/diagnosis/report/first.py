@@ -8,11 +8,10 @@ import numpy as np
 
 from warpsar.compare.comparison import Comparison
 from warpsar.diagnosis.found import EffectRival
-from warpsar.diagnosis.models.change import SUMMARIES
+from warpsar.diagnosis.geometry.registry import summary_of
 from warpsar.diagnosis.models.names import kind_of, object_of
 from warpsar.diagnosis.report.next_step import Step, next_steps, refuted
 from warpsar.diagnosis.result import Diagnosed
-from warpsar.effects.registry import get
 from warpsar.evaluation.report_parts import (
     SMOOTHED,
     averaged_ratio_db,
@@ -104,12 +103,12 @@ def _joined(names: list[str]) -> str:
 def _meanings(done: Diagnosed) -> list[str]:
     """What the names of the verdict mean."""
     held = [name for name in done.diagnosis.held if name not in done.not_established]
-    said = []
+    meanings = []
     for name in held:
         kind, of = kind_of(name), object_of(name)
-        said.append(f"{kind}{f' of {of}' if of else ''}: {SUMMARIES.get(kind) or get(kind).summary}")
+        meanings.append(f"{kind}{f' of {of}' if of else ''}: {summary_of(kind)}")
     speckle = f"{done.speckle.words[0].upper()}{done.speckle.words[1:]}."
-    return [*([f"{'; '.join(said)}."] if said else []), *([speckle] if done.speckle.names else [])]
+    return [*([f"{'; '.join(meanings)}."] if meanings else []), *([speckle] if done.speckle.names else [])]
 
 
 def _speckle_alone(done: Diagnosed) -> bool:

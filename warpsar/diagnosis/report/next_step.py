@@ -21,31 +21,31 @@ class Step:
 
 def next_steps(done: Diagnosed, out: Path) -> list[Step]:
     """At most two, the most pressing first; `out` is the folder of the written scene."""
-    said = []
+    steps = []
     if done.diagnosis.not_asked:
-        said.append(Step("Run the same command with --resume and more time: it goes on where the time was over."))
+        steps.append(Step("Run the same command with --resume and more time: it goes on where the time was over."))
     if done.unexplained:
-        said.append(Step(_where_to_look(done)))
-    said += [Step(f"{by.sentence[0].upper()}{by.sentence[1:]}.") for _, by in done.alternatives]
+        steps.append(Step(_where_to_look(done)))
+    steps += [Step(f"{by.sentence[0].upper()}{by.sentence[1:]}.") for _, by in done.alternatives]
     if not done.unexplained:
-        said += _with_the_scene(done, out)
-    return said[:2]
+        steps += _with_the_scene(done, out)
+    return steps[:2]
 
 
 def _with_the_scene(done: Diagnosed, out: Path) -> list[Step]:
     """What to do with a scene that explains its images."""
     command = shlex.join(["warpsar", "evaluate", str(out / "scene.toml"), "-o", str(out / "evaluate")])
-    said = [Step("Look at every image beside the scene that was written here:", command)]
+    steps = [Step("Look at every image beside the scene that was written here:", command)]
     if "test" not in done.verdicts:
-        said.append(
+        steps.append(
             Step('Give a view role = "test" and run this again: only a view that no fit has used tests the answer.')
         )
     elif done.speckle.names:
         names = " and ".join(done.speckle.names)
-        said.append(Step(f"Declare {names} as the written scene does, if whoever made the images agrees."))
+        steps.append(Step(f"Declare {names} as the written scene does, if whoever made the images agrees."))
     elif done.changed:
-        said.append(Step("Check these names by other means, and then write them into the scene file that you keep."))
-    return said
+        steps.append(Step("Check these names by other means, and then write them into the scene file that you keep."))
+    return steps
 
 
 def refuted(done: Diagnosed) -> bool:

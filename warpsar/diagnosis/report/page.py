@@ -41,19 +41,19 @@ def write_report(
     phases: Sequence[PhaseAsked] = (),
 ) -> None:
     """`path` lies beside the written scene. `content` is that of diagnosis.json, `command` the words that made it."""
-    found = done.diagnosis
-    rows, cols = found.scene.grid.shape
-    lead = f"{Path(found.scene.path or 'the scene').name}: {len(done.models[0])} images of {rows} x {cols} pixels"
+    diagnosis = done.diagnosis
+    rows, cols = diagnosis.scene.grid.shape
+    lead = f"{Path(diagnosis.scene.path or 'the scene').name}: {len(done.models[0])} images of {rows} x {cols} pixels"
     sections = [
         *first_screen(done, path.parent),
         summary_section(done, content),
         *_phase_section(phases),
         *_objects_section(done, content),
         residuals_section(done),
-        *(turn_section(turn, number, done, content) for number, turn in enumerate(found.turns)),
+        *(turn_section(turn, number, done, content) for number, turn in enumerate(diagnosis.turns)),
         *law_section(done),
         parameters_section(done, moves, content),
-        _not_tested(found.turns[-1]),
+        _not_tested(diagnosis.turns[-1]),
         left_section(done),
         report.reproduce(
             content, command, "Beside this file: diagnosis.json (all numbers), scene.toml (the model at the end)."
@@ -64,27 +64,29 @@ def write_report(
 
 def _not_tested(turn: Turn) -> str:
     items = [f"{c.effect}: {why_not(c)}" for c in turn.candidates if c.testability != "testable"]
-    said = "Not found is not absent. Of these effects nothing can be said from these views, with the model as it ended:"
+    sentence = (
+        "Not found is not absent. Of these effects nothing can be said from these views, with the model as it ended:"
+    )
     if not items:
         return report.section(
             "What could not be tested", report.paragraph("Every effect of the library could be tested.")
         )
-    return report.section("What could not be tested", report.paragraph(said), report.bullets(items))
+    return report.section("What could not be tested", report.paragraph(sentence), report.bullets(items))
 
 
-def _phase_section(found: Sequence[PhaseAsked]) -> list[str]:
+def _phase_section(phases: Sequence[PhaseAsked]) -> list[str]:
     """A sentence for each view with samples of phase, and the phases that were named, over the aperture."""
-    if not found:
+    if not phases:
         return []
-    said = [report.bullets([one.words for one in found])]
-    if named := [one for one in found if one.named]:
-        said.append(report.drawing(_phase_figure(named), "Phase error over slow time, as it was named"))
-    return [report.section("The phase of complex images", *said)]
+    blocks = [report.bullets([one.words for one in phases])]
+    if named := [one for one in phases if one.named]:
+        blocks.append(report.drawing(_phase_figure(named), "Phase error over slow time, as it was named"))
+    return [report.section("The phase of complex images", *blocks)]
 
 
-def _phase_sentence(found: Sequence[PhaseAsked]) -> str:
+def _phase_sentence(phases: Sequence[PhaseAsked]) -> str:
     """For the head of the page; empty where nothing was named."""
-    named = [f"{one.view} ({one.cause})" for one in found if one.named]
+    named = [f"{one.view} ({one.cause})" for one in phases if one.named]
     return f"The phase over slow time is wrong in {', '.join(named)}. " if named else ""
 
 
@@ -101,9 +103,9 @@ def _phase_figure(named: Sequence[PhaseAsked]) -> Figure:
 
 def _objects_section(done: Diagnosed, content: dict[str, Any]) -> list[str]:
     """Objects in plan and in space; nothing where none was learned, moved, found or left out."""
-    found = done.diagnosis
-    told: dict[str, dict[str, Any]] = content.get("objects", {})
-    figure = figure_of_objects(found.scene, found.final.scene, told)
+    diagnosis = done.diagnosis
+    objects: dict[str, dict[str, Any]] = content.get("objects", {})
+    figure = figure_of_objects(diagnosis.scene, diagnosis.final.scene, objects)
     if figure is None:
         return []
     caption = "Objects as the scene file has them (dashed) and as they were found (red)"
@@ -126,13 +128,13 @@ def law_section(done: Diagnosed) -> list[str]:
     axes.set(xlabel="local incidence [deg]", ylabel="learned factor on sigma0 [dB]", xlim=(0.0, 90.0))
     axes.axhline(0.0, color="0.6", linewidth=0.8)
     axes.legend()
-    said = (
+    sentences = (
         "No named effect explains what was left, so a factor on sigma0 was learned from the images. Its shape may tell "
         "what it is: a slope over all angles is another roughness, a bend of one polarization another model, a step a "
         "layer. It is no explanation by itself."
     )
     words = "The learned factor on sigma0 over local incidence, of each polarization"
-    return [report.section("The learned backscatter", report.paragraph(said), report.drawing(figure, words))]
+    return [report.section("The learned backscatter", report.paragraph(sentences), report.drawing(figure, words))]
 
 
 # ---- parameters: how those of the surface moved, and what the added effects have
@@ -169,12 +171,12 @@ def parameters_section(done: Diagnosed, moves: Sequence[ParameterMove], content:
         blocks.append(report.table(head, rows, caption))
     far = [m for m in moves if np.isfinite(m.sds) and abs(m.sds) > SAME_SD]
     if done.diagnosis.verdict and moves:
-        said = (
+        sentence = (
             f"{len(far) or 'None'} of {len(moves)} surface parameters moved by more than {SAME_SD:g} standard "
             f"deviations when what was missing was added"
             + (": so far had they been pulled by leaving it out." if far else ".")
         )
-        blocks.append(report.paragraph(said))
+        blocks.append(report.paragraph(sentence))
     blocks.append(report.bullets(content["identifiability"]["words"]))
     return report.section("How the surface parameters moved", *blocks)
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from warpsar.compare.contract import ROLES
+from warpsar.diagnosis.geometry.registry import summary_of
 from warpsar.diagnosis.models.carried import Carried
-from warpsar.diagnosis.models.change import SUMMARIES
 from warpsar.diagnosis.report.next_step import refuted
 from warpsar.diagnosis.result import OPEN_WORDS, Diagnosed
 from warpsar.diagnosis.search.outcome import effect_table
-from warpsar.effects.registry import get
 from warpsar.evaluation.report_parts import plus_minus
 from warpsar.io import html as report
 
@@ -20,7 +19,7 @@ _ROLE_VIEWS = {"train": "Train views", "test": "Test views, which no fit used"}
 
 
 def summary_section(done: Diagnosed, content: dict[str, Any]) -> str:
-    found = done.diagnosis
+    diagnosis = done.diagnosis
     rows = []
     for role in ROLES:
         before, after, gain = done.before[role], done.after[role], content["gain"][role]
@@ -65,7 +64,7 @@ def summary_section(done: Diagnosed, content: dict[str, Any]) -> str:
     if done.doubts:
         words.append(report.paragraph("Values that mean little, whatever they are:"))
         words.append(report.bullets(done.doubts))
-    if not found.scene.grid.calibrated:
+    if not diagnosis.scene.grid.calibrated:
         words.append(
             report.paragraph("The images are not calibrated: each has a gain of its own, fitted, on test views too.")
         )
@@ -102,7 +101,7 @@ def _in_the_dark(done: Diagnosed) -> list[str]:
 
 def _first(done: Diagnosed) -> list[str]:
     """What a reader must know before any name: whether the answer is whole."""
-    found, blocks = done.diagnosis, []
+    diagnosis, blocks = done.diagnosis, []
     if done.unexplained:
         names = f" {', '.join(done.verdict)} was found, and does not explain it." if done.verdict else ""
         if not refuted(done):
@@ -117,29 +116,31 @@ def _first(done: Diagnosed) -> list[str]:
         blocks.append(report.paragraph("With these names only speckle is left, to the tests made here."))
     else:
         blocks.append(report.paragraph("Nothing is missing, to the tests made here: the residual looks like speckle."))
-    if found.not_asked:
+    if diagnosis.not_asked:
         blocks.append(report.paragraph("The time was over before all was asked. Not asked:"))
-        blocks.append(report.bullets(found.not_asked))
+        blocks.append(report.bullets(diagnosis.not_asked))
     if done.speckle.departs:
         blocks.append(report.paragraph(f"{done.speckle.words[0].upper()}{done.speckle.words[1:]}."))
-    said = [f"{_ROLE_VIEWS[role]}: {one.words}" for role, one in done.verdicts.items() if not one.wrong]
+    bullets = [f"{_ROLE_VIEWS[role]}: {one.words}" for role, one in done.verdicts.items() if not one.wrong]
     if done.own_numbers:
-        said.append("For this, numbers that effects hold for each view by itself were fitted to the test views, too")
+        bullets.append("For this, numbers that effects hold for each view by itself were fitted to the test views, too")
     if done.foretold is not None:
-        said.append(f"{OPEN_WORDS[0].upper()}{OPEN_WORDS[1:]}. {done.open_surface[0].upper()}{done.open_surface[1:]}")
-    return [*blocks, report.bullets(said)] if said else blocks
+        bullets.append(
+            f"{OPEN_WORDS[0].upper()}{OPEN_WORDS[1:]}. {done.open_surface[0].upper()}{done.open_surface[1:]}"
+        )
+    return [*blocks, report.bullets(bullets)] if bullets else blocks
 
 
 def _named(step: dict[str, Any]) -> str:
     """What was added, and what that means."""
     of = f" of {step['object']}" if "object" in step else ""
-    return f"{step['effect']}{of} ({SUMMARIES.get(step['effect']) or get(step['effect']).summary})"
+    return f"{step['effect']}{of} ({summary_of(step['effect'])})"
 
 
 def _verdict(done: Diagnosed, content: dict[str, Any]) -> list[str]:
-    found = done.diagnosis
+    diagnosis = done.diagnosis
     error = 100.0 * content["options"]["family_error"]
-    said = []
+    sentences = []
     for step in content["steps"]:
         left = step["left_out"]
         held = ""
@@ -155,33 +156,35 @@ def _verdict(done: Diagnosed, content: dict[str, Any]) -> list[str]:
         doubt = f" But {step['note']}." if over and Carried(**over).by_surface(step["effect"]) else ""
         own = step["signature"]
         earned = f" Its own test says: {_OUTCOME[own['outcome']]} ({own['text']})." if own else ""
-        said.append(f"Added: {_named(step)}, with {tables}.{held}{earned}{doubt}")
-    said += [
+        sentences.append(f"Added: {_named(step)}, with {tables}.{held}{earned}{doubt}")
+    sentences += [
         f"The data do not decide between {one.effect} and {one.other}: in its place it would fit as well, to the "
         f"scatter of that difference under speckle (2 ln L {one.gain:+.1f}). {by.sentence[0].upper()}{by.sentence[1:]}."
         for one, by in done.alternatives
     ]
-    if found.withdrawn:
-        said.append(
-            f"Tried, and not the answer: {', '.join(found.withdrawn)}. Added, it holds on the train views, but the "
+    if diagnosis.withdrawn:
+        sentences.append(
+            f"Tried, and not the answer: {', '.join(diagnosis.withdrawn)}. Added, it holds on the train views, but the "
             "test views speak against it."
         )
-    said += [
+    sentences += [
         f"Tried, and taken back: {name}. {why[0].upper()}{why[1:]}."
         for name, why in content["taken_back"].items()
         if why
     ]
-    said += [
+    sentences += [
         f"Dropped again, being needless beside {turn['added']}: {name}."
         for turn in content["turns"]
         for name in turn["dropped"]
     ]
-    if not said and any(c.refit_gain is not None for c in found.turns[0].candidates):
-        said.append("Nothing was added: no effect that passed the threshold held; the sections on the turns say why.")
-    elif not said:
-        said.append(
+    if not sentences and any(c.refit_gain is not None for c in diagnosis.turns[0].candidates):
+        sentences.append(
+            "Nothing was added: no effect that passed the threshold held; the sections on the turns say why."
+        )
+    elif not sentences:
+        sentences.append(
             "Nothing was added: no effect of the library explains the residual better than chance would, at a family "
             f"error rate of {error:g} %."
         )
-    said += [f"{content['tolerances'][label]['after']['words']}." for label in content["leaves_tolerance"]]
-    return said
+    sentences += [f"{content['tolerances'][label]['after']['words']}." for label in content["leaves_tolerance"]]
+    return sentences

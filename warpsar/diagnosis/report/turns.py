@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from warpsar.diagnosis.found import Candidate, Turn
-from warpsar.diagnosis.models.change import is_geometry
+from warpsar.diagnosis.geometry.registry import is_geometry
 from warpsar.diagnosis.result import Diagnosed
 from warpsar.diagnosis.search.outcome import by_score, gain_text, outcome, passed, score_text
 from warpsar.evaluation.report_parts import plus_minus
@@ -22,7 +22,7 @@ def turn_section(turn: Turn, number: int, done: Diagnosed, content: dict[str, An
     about = f"with {', '.join(effects)}" if effects else "as declared"
     tested = [c for c in turn.candidates if c.testability == "testable" and not is_geometry(c.effect)]
     error = 100.0 * content["options"]["family_error"]
-    said = (
+    sentences = (
         f"The model {about}, fitted. Every effect's template (its change of the images to first order, "
         f"rendered with rays of its own) is compared with the residual, after the part that fitted parameters imitate "
         f"is taken out of both. Scores are -ln p, calibrated by {turn.draws} draws of speckle with the residual's own "
@@ -31,7 +31,7 @@ def turn_section(turn: Turn, number: int, done: Diagnosed, content: dict[str, An
         f"likeliest is added on trial, and has to hold beside all others at the end."
     )
     blocks = [
-        report.paragraph(said),
+        report.paragraph(sentences),
         _bars(turn, tested),
         _candidate_table(turn, tested),
     ]
@@ -95,8 +95,12 @@ def _why(turn: Turn) -> list[str]:
     chosen = [c for c in by_score(turn) if passed(c, turn)]
     if not chosen:
         return ["No effect passed the threshold: nothing was added, and the search ends here."]
-    said = [f"{c.effect} {'was' if c.effect == turn.added else 'was not'} added: {outcome(c, turn)}." for c in chosen]
-    return said + [f"{name}, added before, is needless beside {turn.added}, and was dropped." for name in turn.dropped]
+    sentences = [
+        f"{c.effect} {'was' if c.effect == turn.added else 'was not'} added: {outcome(c, turn)}." for c in chosen
+    ]
+    return sentences + [
+        f"{name}, added before, is needless beside {turn.added}, and was dropped." for name in turn.dropped
+    ]
 
 
 def _p(value: float, turn: Turn) -> str:

@@ -74,8 +74,8 @@ class Evidence:
             ratio[seen.interior] = part / np.sqrt(seen.looks) + 1.0
             patches.append(Patch(seen.interior, ratio, seen.law))
         correlation, variance = own_autocovariance(patches)
-        told = variance != 1.0  # where no block has pixels enough, nothing is told, and the variance is set
-        return max(float(correlation.sum()), 1.0) if told else np.inf
+        measured = variance != 1.0  # where no block has pixels enough, nothing is told, and the variance is set
+        return max(float(correlation.sum()), 1.0) if measured else np.inf
 
     def split(self, pixels: np.ndarray) -> list[np.ndarray]:
         """An array over all pixels, (n, ...), as one per observation."""

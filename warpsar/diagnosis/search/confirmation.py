@@ -11,9 +11,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from warpsar.diagnosis.found import Confirmed
+from warpsar.diagnosis.geometry.registry import is_geometry
 from warpsar.diagnosis.models.all_pixels import lit_shadows
 from warpsar.diagnosis.models.carried import Carried, carried_over
-from warpsar.diagnosis.models.change import is_geometry
 from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.left_out import ViewsLeftOut, leave_one_view_out
 from warpsar.diagnosis.models.refit import Fitted, refit_without

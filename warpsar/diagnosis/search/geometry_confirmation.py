@@ -8,17 +8,16 @@ import numpy as np
 
 from warpsar.compare.observation import Observation
 from warpsar.diagnosis.found import Confirmed
+from warpsar.diagnosis.geometry.registry import like_sensor, of, without_change
 from warpsar.diagnosis.models.all_pixels import Exact, log_likelihood
-from warpsar.diagnosis.models.change import ABSENT, without_change
 from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.left_out import ViewsLeftOut, column_blocks, summed
-from warpsar.diagnosis.models.movable import own_material, refined_words, standing, with_words
-from warpsar.diagnosis.models.names import kind_of, object_of
+from warpsar.diagnosis.models.movable import own_material
+from warpsar.diagnosis.models.names import object_of
 from warpsar.diagnosis.models.refit import Fitted
-from warpsar.diagnosis.models.sensor import is_own_angle, is_sensor, like_sensor, sensor_changes, sensor_freed
 from warpsar.diagnosis.turn.geometry_trial import fitted_beside
 from warpsar.effects.registry import get
-from warpsar.learning.geometry import Geometry, freed, still
+from warpsar.learning.geometry import freed, still, with_free
 from warpsar.learning.pose import PosedProblem, descend
 from warpsar.learning.results import learned_scene
 from warpsar.scene.scene import Scene
@@ -42,14 +41,9 @@ def taken_back(setup: FitSetup, fitted: Fitted, declared: Scene, name: str) -> F
 def asked_of(setup: FitSetup, fitted: Fitted, without: Fitted, declared: Scene, name: str) -> Confirmed:
     """What the change gains on all usable pixels, for how many numbers."""
     gain = 2.0 * (log_likelihood(setup, fitted) - log_likelihood(setup, without))
-    if kind_of(name) == ABSENT:
-        return Confirmed(name, gain, 1)
-    free = _freed(declared, fitted.scene, name)
-    on_ground = standing(free)
-    numbers = sum(
-        (c.parameter.key, c.index) != ("position_m", 2) or c.body not in on_ground for c in Geometry(free).coordinates
-    )
-    own = own_material(declared, fitted.scene, object_of(name))
+    label = object_of(name)
+    numbers = of(name).numbers(declared, fitted.scene, label)
+    own = own_material(declared, fitted.scene, label)
     return Confirmed(name, gain, numbers + (len(fitted.scene.materials[own].learn) if own else 0))
 
 
@@ -66,13 +60,15 @@ def views_left_out(
         return ViewsLeftOut(0.0, 0.0, len(names))
     exact = Exact.of(setup, fitted)
     lacking, end = exact.settled(still(without.scene), flat=ENOUGH)
-    free, own = _freed(declared, fitted.scene, name), own_material(declared, fitted.scene, object_of(name))
+    label = object_of(name)
+    free = with_free(fitted.scene, of(name).coordinates(declared, fitted.scene, label))
+    own, only_view = own_material(declared, fitted.scene, label), of(name).only_view(label)
     all_views: PosedProblem | None = None
     seen, gains = [], []
     for view in names:
         scene = still(fitted.scene)
-        if is_own_angle(name):
-            if not name.endswith(f" {view}"):
+        if only_view is not None:
+            if only_view != view:
                 continue  # the image is the same with and without
             pairs = _by_halves(exact, free, lacking, end.x, still(fitted.scene), view)
             seen += [one for one, _ in pairs]
@@ -132,11 +128,3 @@ def _with_own(scene: Scene, problem: PosedProblem, x: np.ndarray, own: str | Non
         return scene
     found = learned_scene(*problem.split(x)).materials[own].model_copy(update={"learn": ()})
     return replace(scene, materials={**scene.materials, own: found})
-
-
-def _freed(declared: Scene, scene: Scene, name: str) -> Scene:
-    """The scene with what a fit may change of the object alone; nothing of an absent one."""
-    if is_sensor(name):
-        return sensor_freed(scene, sensor_changes(declared, scene)[name])
-    words = {label: each for label, each in refined_words(declared, scene).items() if label == object_of(name)}
-    return with_words(scene, words)

@@ -12,15 +12,15 @@ import numpy as np
 
 from warpsar.diagnosis.dark.evidence import Dark, worth_a_refit
 from warpsar.diagnosis.found import Candidate, DiagnoseOptions, EffectRival, Turn
+from warpsar.diagnosis.geometry.base.change import Hypothesis, Section
+from warpsar.diagnosis.geometry.registry import changes, is_geometry, of
 from warpsar.diagnosis.models.all_pixels import lit_shadows, log_likelihood, with_shadows
-from warpsar.diagnosis.models.change import NUMBERS, POSE, SIZE, changes, is_geometry
 from warpsar.diagnosis.models.effect_gain import EffectGain
 from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.judge import Judge
 from warpsar.diagnosis.models.left_out import leave_one_view_out
 from warpsar.diagnosis.models.names import object_of
 from warpsar.diagnosis.models.refit import Fitted, narrow, on_bounded_ground, refit_as, settle
-from warpsar.diagnosis.models.sensor import found_sensor, is_sensor
 from warpsar.diagnosis.scores.evidence import Evidence
 from warpsar.diagnosis.scores.score import minus_log_p
 from warpsar.diagnosis.scores.templates import Template
@@ -28,13 +28,13 @@ from warpsar.diagnosis.search.confirmation import NOT_ELSEWHERE, Confirmation, c
 from warpsar.diagnosis.search.outcome import confirmation_lines, score_text, turn_lines
 from warpsar.diagnosis.search.record import SearchRecord
 from warpsar.diagnosis.turn.addition import TOO_LITTLE, add_the_best, of_lit_pixels
-from warpsar.diagnosis.turn.geometry_search import Screened, geometry_candidates, screened_bodies, worth_fits
+from warpsar.diagnosis.turn.geometry_search import geometry_candidates, screened_bodies, worth_fits
 from warpsar.diagnosis.turn.geometry_trial import add_the_likeliest, on_its_ground, posed_anew, with_all_anew
 from warpsar.diagnosis.turn.pruning import prune, resettled, trimmed, with_smaller
 from warpsar.diagnosis.turn.rivals import rivals_of
 from warpsar.diagnosis.turn.scoring import score_effects
 from warpsar.diagnosis.turn.screening import NO_DARK
-from warpsar.diagnosis.turn.sensor_search import Hypothesis, screened_sensor, sensor_candidates, worth_a_fit
+from warpsar.diagnosis.turn.sensor_search import screened_sensor, sensor_candidates, worth_a_fit
 from warpsar.diagnosis.turn.shortlist import by_rank, refits
 from warpsar.effects.base.trial import Context
 from warpsar.effects.registry import get, names
@@ -151,36 +151,30 @@ class Search:
             images = self._judge(scene, "train")
         except NothingLitError:
             return False
-        found = set(self._judge.judgement(images).findings)
-        return bool(once.decide(float("edges" not in found and bool({"structure", "level"} & found))))
+        findings = set(self._judge.judgement(images).findings)
+        return bool(once.decide(float("edges" not in findings and bool({"structure", "level"} & findings))))
 
     def final(self) -> Fitted:
         """The model that the search ended with, at its best; nothing that a pixel can cost is bounded."""
         if not self._added(self._base):
             return self._declared
-        plain, found = replace(self._setup, bound=0.0), self._base
-        if found.problem.misfit.bound > 0:
-            found = settle(plain, found, self.options.starts, self.options.seed)
-        scene, self._posed = posed_anew(plain, found, self.scene)
-        return found if self._posed is None else refit_as(plain, scene)
+        plain, model = replace(self._setup, bound=0.0), self._base
+        if model.problem.misfit.bound > 0:
+            model = settle(plain, model, self.options.starts, self.options.seed)
+        scene, self._posed = posed_anew(plain, model, self.scene)
+        return model if self._posed is None else refit_as(plain, scene)
 
-    def objects(self, final: Fitted) -> dict[str, dict[str, Any]]:
-        """What became of the objects that were changed, by name, as diagnosis.json has it; `final` is `final()`."""
-        told, words = ({}, []) if self._posed is None else (self._posed.objects, self._posed.words)
-        found = {}
+    def values(self, final: Fitted) -> dict[Section, dict[str, dict[str, Any]]]:
+        """What became of bodies, angles and spacings that were changed, by what they are called, in the sections of
+        diagnosis.json; `final` is `final()`."""
+        sections: dict[Section, dict[str, dict[str, Any]]] = {"objects": {}, "sensor": {}}
         for name in changes(self.scene, final.scene):
-            if is_sensor(name):
-                continue
-            label = object_of(name)
-            turn = next(turn for turn in reversed(self.turns) if turn.added == name)
-            first = next(c.table for c in turn.candidates if c.effect == name)
-            found[label] = {**(first or {}), **told.get(label, {})}
-            found[label]["not_told_apart"] = [w for w in words if w.startswith(f"{label}.")]
-        return found
-
-    def sensor(self, final: Fitted) -> dict[str, dict[str, Any]]:
-        """What became of angles and spacings, as diagnosis.json has it; `final` is `final()`."""
-        return found_sensor(self.scene, final.scene, {} if self._posed is None else self._posed.numbers)
+            change, label = of(name), object_of(name)
+            added = (turn for turn in reversed(self.turns) if turn.added == name)
+            first = next((c.table for turn in added for c in turn.candidates if c.effect == name), None)
+            values = change.values(self.scene, final.scene, label, first or {}, self._posed)
+            sections[change.section].setdefault(label, {}).update(values)
+        return sections
 
     def rivals(self) -> list[EffectRival]:
         """Other effects in the place of those that hold."""
@@ -209,7 +203,7 @@ class Search:
 
     def _forward(self) -> bool:
         """Turns until one adds nothing; whether any added something."""
-        found = False
+        added = False
         while True:
             self._doing = f"turn {len(self.turns) + 1}: which effect explains the residual"
             turn = self._record.turn(self._stage, self._setup, self._base, self._turn)
@@ -217,9 +211,9 @@ class Search:
             console.say("\n".join(turn_lines(turn, len(self.turns))))
             self.turns.append(turn)
             if turn.fitted is None or turn.added is None:
-                return found
+                return added
             self._times[turn.added] += 1
-            found = True
+            added = True
             if changes(self.scene, turn.fitted.scene):
                 self._setup, self._base = on_its_ground(self._setup, self._other, turn.fitted)
             else:
@@ -246,11 +240,10 @@ class Search:
             alarm = bool(passing or turn.alarms or shadows)
             alarm = alarm or bool(once.decide(float(geometry and self._judged_wrong())))
             sensor, shifts = screened_sensor(self.scene, setup, here) if geometry else ([], 0.0)
-            # a body that is not there leaves a shadow that measures power, and edges: no quiet scene has one
-            bodies = screened_bodies(self.scene, setup, here, absent=alarm) if geometry else []
-            if not alarm and not _promising(sensor, bodies, evidence.area, turn.threshold):
+            bodies = screened_bodies(self.scene, setup, here, alarm=alarm) if geometry else []
+            if not alarm and not _promising([*sensor, *bodies], evidence.area, turn.threshold):
                 sensor, bodies, geometry = [], [], geometry and self._has_moved
-            foretold = max([0.0, *(one.foretold for one in sensor), *(one.most for one in bodies)])
+            foretold = max([0.0, *(one.foretold for one in [*sensor, *bodies])])
             if 2.0 * foretold > FAR_AHEAD * max((c.statistic for c in allowed), default=0.0):
                 allowed = _beside_geometry(allowed, foretold, shifts, shadows)
             most, compared = options.refits, of_lit_pixels
@@ -298,7 +291,7 @@ class Search:
         turn: Turn,
         here: Fitted,
         sensor: Sequence[Hypothesis],
-        bodies: list[Screened],
+        bodies: list[Hypothesis],
         price: float,
     ) -> FitSetup:
         """Let angles, spacings and bodies contend with the effect that the turn has added, or with none. Returns the
@@ -312,15 +305,13 @@ class Search:
         ahead = EffectGain.of(setup, here, turn.fitted)
         if ahead.most:
             return setup
-        of_bodies, of_sensor = (
-            max([0.0, *gains]) for gains in ((b.most for b in bodies), (s.foretold for s in sensor))
-        )
+        of_bodies, of_sensor = (max([0.0, *(one.foretold for one in asked)]) for asked in (bodies, sensor))
         least = max(ahead.least, SENSOR_BEHIND * of_bodies)
-        self._say_fits([f"{one.kind} {one.label}" for one in worth_a_fit(sensor, price, least)])
+        self._say_fits([one.name for one in worth_a_fit(sensor, price, least)])
         offered = sensor_candidates(self.scene, setup, here, sensor, price, least)
         if offered:
             ahead = replace(ahead, blurred=max(ahead.blurred, of_sensor))
-        self._say_fits([f"{kind} {label}" for kind, label in worth_fits(bodies, price, ahead)])
+        self._say_fits([one.name for one in worth_fits(bodies, price, ahead)])
         offered += geometry_candidates(self.scene, setup, here, bodies, price, ahead, offered)
         offered = [c for c in offered if c.name not in self._barred and self._times[c.name] < CHANCES]
         return add_the_likeliest(setup, turn, here, self.scene, offered, price)
@@ -417,14 +408,13 @@ def _beside_geometry(allowed: Sequence[Candidate], foretold: float, shifts: floa
     return found
 
 
-def _promising(sensor: Sequence[Hypothesis], bodies: Sequence[Screened], area: float, threshold: float) -> bool:
+def _promising(screened: Sequence[Hypothesis], area: float, threshold: float) -> bool:
     """Whether what any change of geometry is foretold to gain is more than speckle of a correlation `area` would have
     it: over the `threshold` of -ln p, for all that are asked (Wilks, Bonferroni). Blurred images are the less
     sensitive to speckle, so that this is hardly ever so by chance."""
-    asked = [(one.foretold, len(one.parameters)) for one in sensor]
-    asked += [pair for one in bodies for pair in ((one.moved, NUMBERS[POSE]), (one.resized, NUMBERS[SIZE]))]
-    scores = [float(minus_log_p(np.array(2.0 * max(gain, 0.0) / area), size, 0)) for gain, size in asked]
-    return bool(max(scores, default=0.0) - np.log(max(len(asked), 1)) > threshold)
+    gains = ((2.0 * max(one.foretold, 0.0) / area, one.numbers) for one in screened)
+    scores = [float(minus_log_p(np.array(gain), numbers, 0)) for gain, numbers in gains]
+    return bool(max(scores, default=0.0) - np.log(max(len(scores), 1)) > threshold)
 
 
 def _say(turn: Turn, number: int, passing: Sequence[Candidate]) -> None:
@@ -455,13 +445,13 @@ def learned_law(setup: FitSetup, here: Fitted, price: float) -> tuple[Candidate,
     trial = get(name).trials(Context(here.scene, 1.0))[0]
     scene = replace(here.scene, effects={**here.scene.effects, name: dict(trial.starts[0])})
     fitted = refit_as(setup, scene)
-    found = Candidate(name, "testable", note="the last resort: no named effect explains the residual")
-    found.refit_gain = 2.0 * (fitted.log_likelihood - here.log_likelihood)
-    found.refit_size = fitted.size - here.size
-    found.table = fitted.scene.effects[name]
-    if found.refit_gain <= found.refit_size * price:
-        found.refused = TOO_LITTLE
-        return found, fitted
-    found.left_out = leave_one_view_out(setup, here, fitted, name)
-    found.refused = "" if found.left_out.passed else NOT_ELSEWHERE
-    return found, fitted
+    candidate = Candidate(name, "testable", note="the last resort: no named effect explains the residual")
+    candidate.refit_gain = 2.0 * (fitted.log_likelihood - here.log_likelihood)
+    candidate.refit_size = fitted.size - here.size
+    candidate.table = fitted.scene.effects[name]
+    if candidate.refit_gain <= candidate.refit_size * price:
+        candidate.refused = TOO_LITTLE
+        return candidate, fitted
+    candidate.left_out = leave_one_view_out(setup, here, fitted, name)
+    candidate.refused = "" if candidate.left_out.passed else NOT_ELSEWHERE
+    return candidate, fitted

@@ -50,34 +50,34 @@ def outcome(candidate: Candidate, turn: Turn) -> str:
         return "not testable here"
     if not passed(candidate, turn):
         return f"-ln p {score_text(candidate.minus_log_p)} is not over the threshold of {turn.threshold:.1f}"
-    said = []
+    parts = []
     if candidate.refit_gain is not None:
         count = f"{candidate.refit_size} parameter{'' if candidate.refit_size == 1 else 's'}"
-        said.append(f"2 ln L {gain_text(candidate)} for {count}")
+        parts.append(f"2 ln L {gain_text(candidate)} for {count}")
     if candidate.left_out is not None and candidate.left_out.views > 1:
-        said.append(f"views left out gain {_plus_minus(candidate.left_out)} in ln L")
+        parts.append(f"views left out gain {_plus_minus(candidate.left_out)} in ln L")
     if candidate.signature is not None and candidate.signature.outcome != "against":
-        said.append(f"{_SIGNATURE[candidate.signature.outcome]}: {candidate.signature.text}")
+        parts.append(f"{_SIGNATURE[candidate.signature.outcome]}: {candidate.signature.text}")
     if candidate.effect != turn.added:
-        said.append(candidate.refused or _not_fitted(turn))
+        parts.append(candidate.refused or _not_fitted(turn))
     elif candidate.refused:
-        said.append(f"taken back at the end: {candidate.refused}")
-    said += [note for note in candidate.note.split("; ") if note and note not in said]
-    return "; ".join(said)
+        parts.append(f"taken back at the end: {candidate.refused}")
+    parts += [note for note in candidate.note.split("; ") if note and note not in parts]
+    return "; ".join(parts)
 
 
-def confirmation_lines(found: Confirmation) -> list[str]:
+def confirmation_lines(confirmation: Confirmation) -> list[str]:
     """What was asked of the added effects beside each other, for the console."""
     lines = ["every added effect beside all the others:"]
-    for one in found.asked:
-        said = [f"2 ln L {one.gain:+,.1f} for {one.size} parameter{'' if one.size == 1 else 's'}"]
+    for one in confirmation.asked:
+        parts = [f"2 ln L {one.gain:+,.1f} for {one.size} parameter{'' if one.size == 1 else 's'}"]
         if one.left_out is not None and one.left_out.views > 1:
-            said.append(f"views left out gain {_plus_minus(one.left_out)} in ln L")
+            parts.append(f"views left out gain {_plus_minus(one.left_out)} in ln L")
         if one.signature is not None and one.signature.outcome != "against":
-            said.append(f"{_SIGNATURE[one.signature.outcome]}: {one.signature.text}")
-        said += [one.refused] if one.refused else []
-        said += [note for note in one.notes if note != one.refused]
-        lines.append(f"  {'taken back' if one.refused else 'holds'}: {one.effect}: {'; '.join(said)}")
+            parts.append(f"{_SIGNATURE[one.signature.outcome]}: {one.signature.text}")
+        parts += [one.refused] if one.refused else []
+        parts += [note for note in one.notes if note != one.refused]
+        lines.append(f"  {'taken back' if one.refused else 'holds'}: {one.effect}: {'; '.join(parts)}")
     return lines
 
 

@@ -48,7 +48,7 @@ def diagnose_scene(
     What the `record` holds of an earlier part of the run is not done again. Raises InputError for scenes without
     measured training views, and for a limit of time on several processes.
     """
-    begun = time.monotonic()
+    beginning = time.monotonic()
     once.join(device)
     if once.processes() > 1 and options.time_limit_s is not None:
         raise InputError("--time-limit: found several processes; allowed with one, whose clock alone decides")
@@ -84,10 +84,10 @@ def diagnose_scene(
         declared = refit_as(setup, with_speckle(declared.scene, speckle))
     search = Search(asked, setup, other.rays, declared, options, record, bar.update, judge)
     limit = options.time_limit_s
-    search.run(None if limit is None else limit - (time.monotonic() - begun))
+    search.run(None if limit is None else limit - (time.monotonic() - beginning))
     bar.close()
     final, rivals = search.final(), search.rivals()
-    objects = search.objects(final)
+    values = search.values(final)
     return Diagnosis(
         scene,
         declared,
@@ -99,15 +99,15 @@ def diagnose_scene(
         judge,
         speckle,
         rivals,
-        objects=objects,
-        sensor=search.sensor(final),
+        objects=values["objects"],
+        sensor=values["sensor"],
         not_asked=search.not_asked,
         on_trial=search.on_trial,
     )
 
 
 def with_looks(setup: FitSetup, scene: Scene) -> FitSetup:
-    """The bench whose pixels have the looks and the texture that the scene's views declare."""
+    """The setup whose pixels have the looks and the texture that the scene's views declare."""
     views = {view.name: view for view in scene.views}
     observations = {
         name: [

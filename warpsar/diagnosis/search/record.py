@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from warpsar.diagnosis.found import Candidate, Confirmed, DarkScan, DiagnoseOptions, Turn
+from warpsar.diagnosis.geometry.registry import content, scene_with
 from warpsar.diagnosis.models.carried import Carried
-from warpsar.diagnosis.models.change import content, scene_with
 from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.left_out import ViewsLeftOut
 from warpsar.diagnosis.models.refit import Fitted
@@ -52,11 +52,14 @@ class SearchRecord:
             stored = self._stored[stage + 1]
             asked = [Confirmed(**{**one, **_parts(one)}) for one in stored["asked"]]
             return Confirmation(_fitted(self._scene, stored["fitted"], setup, base), asked)
-        found = run()
+        confirmation = run()
         self._log.add(
-            {"fitted": _fitted_content(self._scene, found.fitted), "asked": [asdict(one) for one in found.asked]}
+            {
+                "fitted": _fitted_content(self._scene, confirmation.fitted),
+                "asked": [asdict(one) for one in confirmation.asked],
+            }
         )
-        return found
+        return confirmation
 
 
 def open_record(scene: Scene, options: DiagnoseOptions, folder: Path, resume: bool) -> SearchRecord:
@@ -107,6 +110,6 @@ def _fitted_content(scene: Scene, fitted: Fitted) -> dict[str, Any]:
 
 
 def _fitted(scene: Scene, stored: Mapping[str, Any], setup: FitSetup, base: Fitted) -> Fitted:
-    """The model that `_fitted_content` gave, on a bench of the same bound."""
+    """The model that `_fitted_content` gave, on a setup of the same bound."""
     like = scene_with(scene, base.scene, stored["geometry"])
     return Fitted.of(replace(setup, bound=stored["bound"]), like, stored)

@@ -12,16 +12,16 @@ from dataclasses import replace
 import numpy as np
 
 from warpsar.diagnosis.found import Candidate, Turn
+from warpsar.diagnosis.geometry.base.change import GeometryCandidate
+from warpsar.diagnosis.geometry.registry import changes, coordinates
 from warpsar.diagnosis.models.all_pixels import log_likelihood
-from warpsar.diagnosis.models.change import GeometryCandidate, changes
 from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.frozen import frozen
-from warpsar.diagnosis.models.movable import bodies, refined_words, standing, with_words
+from warpsar.diagnosis.models.movable import bodies, standing
 from warpsar.diagnosis.models.refit import Fitted, narrowed_to, refit_as
-from warpsar.diagnosis.models.sensor import sensor_changes, sensor_freed
 from warpsar.diagnosis.scores.score import minus_log_p
 from warpsar.diagnosis.turn.addition import TOO_LITTLE
-from warpsar.learning.geometry import still
+from warpsar.learning.geometry import still, with_free
 from warpsar.learning.pose_search import FoundPoses, find_poses
 from warpsar.scene.scene import Scene
 
@@ -94,7 +94,7 @@ def with_all_anew(setup: FitSetup, turn: Turn, declared: Scene) -> FitSetup:
 
 
 def fitted_beside(setup: FitSetup, scene: Scene, declared: Scene) -> tuple[FitSetup, Fitted]:
-    """The pixels of the bench that a scene of another geometry lights, too, and its model fitted to those: on from its
+    """The pixels of the setup that a scene of another geometry lights, too, and its model fitted to those: on from its
     surface, and from the `declared` one, since a body in the wrong place drags its surface anywhere."""
     problem = setup.problem(scene)
     problem.modelled(problem.x0)
@@ -124,12 +124,11 @@ def posed_anew(setup: FitSetup, fitted: Fitted, declared: Scene) -> tuple[Scene,
     """The model's scene with every object that was changed at its likeliest pose, and size where it was missing, and
     changed angles and spacings, all of them, surface and effects fitted together; as it is, and None, where nothing
     was changed or stands there."""
-    words = refined_words(declared, fitted.scene)
-    sensor = [name for names in sensor_changes(declared, fitted.scene).values() for name in names]
-    if not words and not sensor:
+    moving = coordinates(declared, fitted.scene)
+    if not moving:
         return fitted.scene, None
     views = [view.view.name for view in fitted.problem.views]
-    free = with_words(sensor_freed(fitted.scene, sensor), words)
+    free = with_free(fitted.scene, moving)
     found = find_poses(
         free, setup.device, views=views, observations=setup.observations, search=False, standing=standing(free)
     )

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from warpsar.diagnosis.found import Candidate, EffectRival, Turn
-from warpsar.diagnosis.models.change import is_geometry
+from warpsar.diagnosis.geometry.registry import is_geometry
 from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.refit import Fitted, refit_as, refit_without
 from warpsar.diagnosis.scores.evidence import Evidence

@@ -6,27 +6,19 @@ They show at edges and shadow borders, hardly inside. So all usable pixels count
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import cast
 
 import numpy as np
 
+from warpsar.diagnosis.geometry.base.change import GeometryCandidate, Hypothesis
+from warpsar.diagnosis.geometry.base.sensor import SensorChange
+from warpsar.diagnosis.geometry.registry import changes, get, sensor_changes
 from warpsar.diagnosis.models.all_pixels import Exact
-from warpsar.diagnosis.models.change import GeometryCandidate
 from warpsar.diagnosis.models.fit_setup import FitSetup
-from warpsar.diagnosis.models.names import name_of
 from warpsar.diagnosis.models.refit import BOUND, Fitted
-from warpsar.diagnosis.models.sensor import (
-    ALL,
-    ANGLE_KEYS,
-    ANGLES,
-    SPACING,
-    SPACINGS,
-    reading,
-    sensor_changes,
-    sensor_freed,
-)
 from warpsar.diagnosis.turn.geometry_search import of_the_first
-from warpsar.learning.geometry import still
+from warpsar.learning.geometry import still, with_free
 from warpsar.learning.pose import foretold_gain, without_shading
 from warpsar.learning.pose_search import SEARCH_BLUR_M, find_poses
 from warpsar.runtime import once
@@ -34,16 +26,6 @@ from warpsar.scene.scene import Scene
 
 FITTED = 2  # of the screened hypotheses, how many are fitted
 NEAR = 0.5  # of the largest foretold gain, from which on another hypothesis is fitted, too
-
-
-@dataclass(frozen=True)
-class Hypothesis:
-    """Angles or spacings that are freed together: what the change is called, its parameters, its foretold gain."""
-
-    kind: str
-    label: str
-    parameters: tuple[str, ...]
-    foretold: float = 0.0
 
 
 def screened_sensor(declared: Scene, setup: FitSetup, here: Fitted) -> tuple[list[Hypothesis], float]:
@@ -62,40 +44,25 @@ def sensor_candidates(
 
 def worth_a_fit(screened: Sequence[Hypothesis], price: float, least: float) -> list[Hypothesis]:
     """Those that get a fit, the likeliest first; `price` and `least` as in `sensor_candidates`."""
-    worth = [one for one in screened if one.foretold > max(0.5 * len(one.parameters) * price, least)]
+    worth = [one for one in screened if one.foretold > max(0.5 * one.numbers * price, least)]
     best = max((one.foretold for one in worth), default=0.0)
     order = sorted(worth, key=lambda one: -one.foretold)[:FITTED]
     return [one for one in order if one.foretold >= NEAR * best]
 
 
 def hypotheses(declared: Scene, here: Fitted) -> list[Hypothesis]:
-    """Every hypothesis that the model has not taken yet: angles of each view and of all, and both spacings.
-
-    Where all views were turned, the angle of one is not offered, nor the reverse: two such turns of one angle would not
-    be told apart by the angles that they leave.
-    """
-    views = [view.view.name for view in here.problem.views]
-    taken = sensor_changes(declared, here.scene)
-    found = [Hypothesis(SPACING, label, (f"image.{key}",)) for label, key in SPACINGS.items()]
-    if len(views) > 1:
-        found += [Hypothesis(ANGLES, ALL, (f"views.{key}",)) for key in ANGLE_KEYS]
-    found += [Hypothesis(ANGLES, name, (f"views.{name}.{key}",)) for name in views for key in ANGLE_KEYS]
-    turned = [parameter for parameters in taken.values() for parameter in parameters if parameter.startswith("views.")]
-
-    def mixed(one: Hypothesis) -> bool:
-        key = one.parameters[0].rpartition(".")[2]
-        others = [each for each in turned if each.endswith(f".{key}")]
-        return any((each == f"views.{key}") != (one.label == ALL) for each in others)
-
-    return [one for one in found if name_of(one.kind, one.label) not in taken and not mixed(one)]
+    """Every hypothesis that the model has not taken yet: angles of each view and of all, and both spacings."""
+    views, taken = _views(here), changes(declared, here.scene)
+    asked = [one for change in sensor_changes() for one in change.hypotheses(declared, here.scene, views)]
+    return [one for one in asked if one.name not in taken]
 
 
 def screening(declared: Scene, setup: FitSetup, here: Fitted) -> tuple[list[Hypothesis], float]:
     """What each hypothesis would gain, foretold to second order on blurred images, surface and effects moving along;
     and what a shift of every image by itself would, which no shift common to all exceeds."""
-    views = [view.view.name for view in here.problem.views]
-    moved = {one: _moved(one, views) for one in hypotheses(declared, here)}
-    free = sensor_freed(here.scene, [name for names in moved.values() for name in names])
+    views = _views(here)
+    moved = {one: _sensor_change(one).each(one.parameters, views) for one in hypotheses(declared, here)}
+    free = with_free(here.scene, [name for names in moved.values() for name in names])
     problem = Exact.of(setup, here).problem(free, blur_m=SEARCH_BLUR_M[0], bound=BOUND, rough=True)
     left, slope = without_shading(problem, shifts=True)
     count = len(problem.geometry.coordinates)
@@ -107,18 +74,17 @@ def screening(declared: Scene, setup: FitSetup, here: Fitted) -> tuple[list[Hypo
     return found, foretold_gain(left[count:, count:], slope[count:])
 
 
-def _moved(one: Hypothesis, views: Sequence[str]) -> list[str]:
-    """The dotted names of what a hypothesis moves alike: of each view, where it turns all."""
-    if one.label != ALL:
-        return list(one.parameters)
-    return [f"views.{view}.{name.rpartition('.')[2]}" for name in one.parameters for view in views]
-
-
 def _fitted(declared: Scene, setup: FitSetup, here: Fitted, one: Hypothesis) -> GeometryCandidate:
     """The scene with the hypothesis at its likeliest, surface and effects fitted along."""
-    views = [view.view.name for view in here.problem.views]
-    free = sensor_freed(here.scene, one.parameters)
-    found = find_poses(free, setup.device, views=views, observations=setup.observations)
-    scene = still(found.scene)
-    words = [*found.words, reading(one.kind, one.label)]
-    return GeometryCandidate(one.kind, one.label, scene, found.gain, found.size, found.numbers, words)
+    free = with_free(here.scene, one.parameters)
+    found = find_poses(free, setup.device, views=_views(here), observations=setup.observations)
+    words = [*found.words, _sensor_change(one).reading(one.label)]
+    return GeometryCandidate(one.kind, one.label, still(found.scene), found.gain, found.size, found.numbers, words)
+
+
+def _views(fitted: Fitted) -> list[str]:
+    return [view.view.name for view in fitted.problem.views]
+
+
+def _sensor_change(one: Hypothesis) -> SensorChange:
+    return cast(SensorChange, get(one.kind))

@@ -11,8 +11,11 @@ import numpy as np
 import warp as wp
 
 from warpsar.compare.observation import Observation
-from warpsar.diagnosis.models.change import GeometryCandidate
+from warpsar.diagnosis.geometry.base.body import BodyChange
+from warpsar.diagnosis.geometry.base.change import GeometryCandidate
+from warpsar.diagnosis.models.change import BodyDifference
 from warpsar.diagnosis.models.fit_setup import FitSetup
+from warpsar.diagnosis.models.movable import POSE_WORDS
 from warpsar.diagnosis.models.refit import Fitted
 from warpsar.diagnosis.proposals.bodies import Tried, likeliest, sound
 from warpsar.diagnosis.proposals.fit import Standing, TrialGround, alone, released
@@ -21,8 +24,8 @@ from warpsar.diagnosis.proposals.places import BodyPlace, Looked, Ratios
 from warpsar.learning.pose_search import summary
 from warpsar.runtime import console
 from warpsar.scene.scene import Scene
+from warpsar.world.objects.table import Learnable, Object
 
-KIND = "missing_object"
 LOOKED_AT = 4  # places that do not overlap
 PLACES, NEARLY = 2, 0.5  # that are tried, where the second scores such a share of the first
 EXPLAINED = 0.6  # of what is unlike speckle in the pixels that a body touches: where others are missing, it is less
@@ -31,9 +34,30 @@ WORTH_A_FIT = 2.0  # times what a number costs: the best of all places where not
 LAST_STEPS, LAST_FLAT = 4, 0.1  # of the last descents
 
 
-def missing_objects(setup: FitSetup, here: Fitted, price: float, least: float) -> list[GeometryCandidate]:
-    """`proposed` for a turn of a diagnosis, whose fitted model is `here`."""
-    return proposed(here.scene, setup.device, setup.observations, price=price, least=least)
+class MissingObject(BodyChange):
+    """A body of the scene alone: its images propose it, and a fit gives place, heading, size and material."""
+
+    name = "missing_object"
+    order = 40
+    summary = "an object is there that the scene does not have"
+    edges_doubt = False  # it is there or it is not: no remainder elsewhere puts that in doubt
+    commented = ("position_m", "heading_deg", "size_m")
+
+    def is_of(self, difference: BodyDifference) -> bool:
+        return difference.was is None and difference.now is not None
+
+    def words(self, one: Object) -> tuple[Learnable, ...]:
+        """A sphere is a point, whose size means nothing, and a round cylinder, which has the heading 0, stays without
+        one."""
+        if one.primitive == "sphere":
+            return ("position",)
+        return ("position", "size") if one.primitive == "cylinder" and one.heading_deg == 0.0 else (*POSE_WORDS, "size")
+
+    def proposed(self, setup: FitSetup, here: Fitted, price: float, least: float) -> list[GeometryCandidate]:
+        return proposed(here.scene, setup.device, setup.observations, price=price, least=least)
+
+
+CHANGE = MissingObject()
 
 
 def proposed(
@@ -61,11 +85,11 @@ def proposed(
     cost = 0.5 * (price if price is not None else np.log(sum(s.looks * s.count for s in without.observations)))
     looked, pays = Looked.at(ground.scene, _ratios(without)), WORTH_A_FIT * cost
     places_tried = _worth_a_fit(looked.best(LOOKED_AT), max(pays, least))
-    found: list[Tried] = []
+    tried: list[Tried] = []
     for place in places_tried:
-        if not any(_stands_at(one, place) for one in found):
-            found += likeliest(ground, without, place, cost)
-    best = max(found, key=lambda one: one.worth(cost), default=None)
+        if not any(_stands_at(one, place) for one in tried):
+            tried += likeliest(ground, without, place, cost)
+    best = max(tried, key=lambda one: one.worth(cost), default=None)
     if best is None:
         return []
     whole = _with_all_else(ground, released(best.standing.scene, without.scene))
@@ -80,14 +104,14 @@ def proposed(
         return []
     values, words = _values_and_words(whole, best)
     words.append(f"views left out: log-likelihood up by {confirmed.gain:.4g} +- {confirmed.error:.2g}")
-    return [GeometryCandidate(KIND, best.name, whole.scene, float(gain), size, values, words)]
+    return [GeometryCandidate(CHANGE.name, best.name, whole.scene, float(gain), size, values, words)]
 
 
 def _worth_a_fit(places: list[BodyPlace], least: float) -> list[BodyPlace]:
     """Places where bodies would explain at least so much, and no much better one is among them."""
-    found = _likely(places, least)
-    least = NEARLY * max((one.score for one in found), default=0.0)
-    return [one for one in found if one.score > least][:PLACES]
+    likely = _likely(places, least)
+    least = NEARLY * max((one.score for one in likely), default=0.0)
+    return [one for one in likely if one.score > least][:PLACES]
 
 
 def _stands_at(tried: Tried, place: BodyPlace) -> bool:
@@ -103,12 +127,12 @@ def _likely(places: list[BodyPlace], least: float) -> list[BodyPlace]:
 
 def _ratios(standing: Standing) -> list[Ratios]:
     """Measured over modelled power of every image."""
-    found = []
+    ratios = []
     for seen, mu in zip(standing.observations, standing.modelled(), strict=True):
         image = np.zeros(seen.interior.shape)
         image[seen.interior] = seen.values / mu
-        found.append(Ratios(seen.view, image, seen.interior, seen.looks))
-    return found
+        ratios.append(Ratios(seen.view, image, seen.interior, seen.looks))
+    return ratios
 
 
 def _with_all_else(ground: TrialGround, scene: Scene) -> Standing:
