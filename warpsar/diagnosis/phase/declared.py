@@ -147,12 +147,15 @@ def _asked(scene: Scene, view: View) -> PhaseAsked:
             return nothing("not testable", why)
         if image.shape[1] * spacing[1] < 2 * _MARGINS * BORDER_CELLS * cells[1]:
             return nothing("not testable", f"its rows are shorter than {2 * _MARGINS * BORDER_CELLS} cells")
-        aside = _aside(scene, view, range_m)
+        aside, slant = _aside(scene, view, range_m), scene.slant_range_m(view)
+        stretch = None if slant is None else (slant + range_m) / slant
         widest = 0.0 if aside is None else float(np.abs(aside).max())
         told = np.zeros(len(image)) if aside is None or not widest else aside / widest
         known = np.where(np.isfinite(image), image, 0.0).astype(np.complex64)
         for fold, mask in zip(folds, folds_of(len(known), spacing[0], cells[0]), strict=True):
-            fold.append(AzimuthSpectrum.of(known[mask], spacing, cells, told[mask]))
+            fold.append(
+                AzimuthSpectrum.of(known[mask], spacing, cells, told[mask], None if stretch is None else stretch[mask])
+            )
     joined, seed = [AzimuthSpectrum.joined(one) for one in folds], scene.sampling.seed
     found, motion = asked(joined, seed=seed)
     if found.outcome == "not testable":

@@ -45,11 +45,6 @@ class FamilySearch:
     gain: float
     """Of that over the rows as they are, their sum."""
 
-    @property
-    def error(self) -> F64:
-        """Half of what the two folds differ [rad]."""
-        return np.asarray(0.5 * np.abs(self.each[0] - self.each[1]))
-
 
 class FoldedRows:
     """Two folds of rows, and what each family finds on them, worked out when it is asked for."""
@@ -95,7 +90,7 @@ class FoldedRows:
         signs."""
         lines = AzimuthSpectrum.joined(self.folds)
         phase = family.phase(lines, fitted(lines, family, np.concatenate(self._trials)))
-        square = PROBE_RAD * QUADRATIC.basis(lines.place)[:, 0]
+        square = QUADRATIC.phase(lines, np.array([PROBE_RAD]))
         best, *worse = (float(corrected(lines, phase + sign * square).sum()) for sign in (0.0, 1.0, -1.0))
         return best - 0.5 * sum(worse)
 
