@@ -8,7 +8,7 @@
 pulses onto 1,024 x 1,024 pixels, and the same with torchbp where it can be imported. `batch`: direct complex images of
 several azimuths, alone, with NPZ and with SICD files, beside images of beta0 of the same scene, alone and with EXR.
 `large`: a direct complex image of 4,096 x 4,096 pixels of 0.5 m of a town of 2 km, with what the forecast says of it;
-on a CPU its middle of 512 x 512 pixels, and the forecast of the whole. `history`: the phase history of the same town,
+with `--small` its middle of 512 x 512 pixels, and the forecast of the whole. `history`: the phase history of the same town,
 and its image. `copy`: bytes that a copy moves in a second, and
 the share of it that the deposit reads and adds. What --out holds already is not measured again. `--small` is a trial of
 a few seconds on a CPU.
@@ -265,7 +265,7 @@ def wide_town(pixels: int) -> Scene:
 def large(device: wp.Device, small: bool) -> dict[str, Any]:
     """What the forecast says, and what the clock says."""
     said = []
-    for pixels in dict.fromkeys((4096, 512 if device.is_cpu or small else 4096)):
+    for pixels in dict.fromkeys((4096, 512 if small else 4096)):
         scene = wide_town(pixels)
         plans = [plan_of(scene, view, device) for view in scene.views]
         room = room_of(scene, plans, "slc", device, None)

@@ -135,10 +135,10 @@ class AzimuthSpectrum:
 
 def _level(spectrum: NDArray[np.complex64], place: F64) -> F64:
     """The amplitude that rows have at each frequency in the mean, (frequencies,), all rows alike and smooth."""
+    if not len(spectrum):
+        return np.ones(len(place))
     power = (np.abs(spectrum) ** 2).astype(np.float64)
-    mean = (power / np.maximum(power.mean(axis=1, keepdims=True), np.finfo(float).tiny)).mean(axis=0)
-    if not mean.any():
-        return np.ones_like(mean)
+    mean = (power / power.mean(axis=1, keepdims=True)).mean(axis=0)
     fitted = np.polynomial.Polynomial.fit(place, np.log(np.maximum(mean, _LEAST_LEVEL * mean.max())), LEVEL_DEGREE)
     return np.asarray(np.exp(0.5 * fitted(place)))
 
