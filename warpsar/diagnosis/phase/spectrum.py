@@ -125,6 +125,14 @@ class AzimuthSpectrum:
         along = np.sqrt((np.abs(self.spectrum) ** 2).mean(axis=0))
         return self.with_spectrum((fft.ifft(weights * fft.fft(drawn, axis=0), axis=0) * along).astype(np.complex64))
 
+    def first(self, rows: int) -> AzimuthSpectrum:
+        """The first rows, as if they lay further apart and reached from the nearest range to the furthest: for speckle,
+        whose rows are all alike."""
+        if len(self) <= rows:
+            return self
+        some = np.linspace(0, len(self) - 1, rows).astype(int)
+        return replace(self, spectrum=self.spectrum[:rows], aside=self.aside[some], stretch=self.stretch[some])
+
     def image(self, factor: NDArray[Any]) -> NDArray[np.complex64]:
         """The samples of the rows, their spectrum times a factor (frequencies,), or one of each row."""
         whole = np.zeros((len(self), self.length), np.complex64)
