@@ -8,7 +8,7 @@ import pytest
 from phase_images import CELLS_M, COLUMNS, ROWS, SPACING_M, TURN, aside_of, folds, image
 
 from warpsar.diagnosis.phase import search
-from warpsar.diagnosis.phase.ask import asked, folds_of
+from warpsar.diagnosis.phase.ask import MOST_ROWS, asked, folds_of
 from warpsar.diagnosis.phase.fit import MOTION, POLYNOMIAL, QUADRATIC, QUADRATIC_MOTION, deviations, fitted
 from warpsar.diagnosis.phase.spectrum import AzimuthSpectrum, corrected, mean_contrast_and_slope
 from warpsar.world.taper import taper
@@ -102,6 +102,15 @@ def test_rows_of_a_fold_lie_apart() -> None:
     rows = [np.flatnonzero(mask) for mask in (one, other)]
     assert np.abs(rows[0][:, None] - rows[1]).min() * SPACING_M[0] >= 2.0 * CELLS_M[0]
     assert 0.3 * ROWS < len(rows[0]) < 0.5 * ROWS
+
+
+def test_of_a_large_image_blocks_over_all_ranges_are_looked_at() -> None:
+    masks = folds_of(5000, SPACING_M[0], CELLS_M[0])
+    both = np.flatnonzero(masks[0] | masks[1])
+    assert 0.99 * MOST_ROWS <= len(both) <= MOST_ROWS
+    assert both[0] < 0.06 * 5000
+    assert both[-1] > 0.94 * 5000
+    assert (np.diff(both) > 1).sum() == 7  # eight blocks of neighbours
 
 
 def test_few_rows_are_not_tested() -> None:
@@ -203,13 +212,13 @@ def test_an_image_that_is_blurred_already_states_a_larger_error() -> None:
 
 @pytest.mark.full
 def test_few_rows_of_speckle_tell_what_all_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Gains of speckle from an eighth of its rows and from all, in 24 draws each: their ratio is known to 21 %."""
-    made = image(lambda x: 0.0 * x, points=48, shape=(640, COLUMNS), seed=3)
+    """Gains of speckle from a fifth of its rows and from all, in 24 draws each: their ratio is known to 21 %."""
+    made = image(lambda x: 0.0 * x, points=24, shape=(320, COLUMNS), seed=3)
     masks = folds_of(len(made), SPACING_M[0], CELLS_M[0])
     rows = search.FoldedRows([AzimuthSpectrum.of(made[mask], SPACING_M, CELLS_M) for mask in masks])
     monkeypatch.setattr(search, "DRAWS", 24)
     spreads = []
-    for most in (32, len(made)):
+    for most in (24, len(made)):
         monkeypatch.setattr(search, "SPECKLE_ROWS", most)
         spreads.append([search.SpeckleGains(rows, 0).moments(family)[1] for family in rows.families])
     few, every = spreads

@@ -41,7 +41,9 @@ Outcome = Literal["named", "absent", "not testable", "not told", "declared"]
 BLOCKS = 8
 GAP_CELLS = 2.0
 """Between blocks: rows so near share their points."""
-FEWEST_ROWS = 16
+FEWEST_ROWS, MOST_ROWS = 16, 1024
+"""In one fold, and in both. The middles of the blocks are looked at where an image has more: so they reach over all its
+ranges, from whose ends an error of the track is told."""
 
 
 @dataclass(frozen=True)
@@ -97,11 +99,12 @@ class Asked(NamedTuple):
 
 
 def folds_of(rows: int, spacing_m: float, cell_m: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Two masks of an image's rows, (rows,): every other block of range, without the rows at their borders."""
+    """Two masks of an image's rows, (rows,): every other block of range, without the rows at their borders, and with
+    at most `MOST_ROWS` together."""
     place = np.arange(rows) * BLOCKS / rows
     block = place.astype(int)
-    edge = np.minimum(place - block, block + 1 - place) * rows / BLOCKS * spacing_m
-    inside = edge >= 0.5 * GAP_CELLS * cell_m
+    edge = np.minimum(place - block, block + 1 - place) * rows
+    inside = edge >= max(0.5 * GAP_CELLS * cell_m / spacing_m * BLOCKS, 0.5 * (rows - MOST_ROWS))
     return inside & (block % 2 == 0), inside & (block % 2 == 1)
 
 
