@@ -4,11 +4,11 @@
     [--out phase_search.json] [--write]
 
 The images are made: speckle with points, or with an edge alone (`tests/phase_images.py`). `cost`: one whole question
-(`warpsar.diagnosis.phase.ask.asked`) of square images with points, with an error of 2 pi at the band's edge and without,
-each in a process of its own. Time is that of the processor, so other programs beside it do not count. `spread`: an error
-of 2 pi at the band's edge that all ranges share, and one that goes with the look direction, in draws. Beside the spread
-stands what the fit states, and the Cramer-Rao bound of a measurement that knows the power of every place and searches
-for the phase alone.
+(`warpsar.diagnosis.phase.ask.asked`) of square images with points, with an error of 2 pi at the band's edge and without
+one, each in a process of its own. Time is that of the processor, so other programs beside it hardly count. `spread`: an
+error of 2 pi at the band's edge that all ranges share, and one that goes with the look direction, in draws. Beside the
+spread stands what the fit states, and the Cramer-Rao bound of a measurement that knows the power of every place and
+searches for the phase alone.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-HERE = Path(__file__).resolve().parent
-sys.path[:0] = [str(HERE), str(HERE.parent / "tests")]
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
+sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import numpy as np
 import phase_images
@@ -132,6 +132,7 @@ def _bounds(rows: int) -> tuple[float, float]:
     return of_row**-0.5 * len(aside) ** -0.5, float(np.sqrt(np.linalg.inv(information)[1, 1]))
 
 
+_PARTS = ("spread", "stated", "bound")
 WORK = {"cost": cost, "spread": spread}
 
 
@@ -147,13 +148,16 @@ def written(found: dict[str, Any]) -> dict[str, str]:
             rows.append((f"{side:,} x {side:,}", *said, f"{max(one['peak_gib'] for one in both):.2f} GiB"))
         bodies["phase.cost"] = tables.markdown(header, rows)
     if "spread" in found:
-        header = ("image", "rows", "error", "mean", "spread", "stated", "bound")
+        header = ("image", "rows", "error", "mean", *_PARTS)
         bodies["phase.spread"] = tables.markdown(
             header,
             [
                 (
                     *(one["image"], one["rows"], one["part"], f"{100 * one['mean']:+.1f} %"),
-                    *(f"{100 * one[key]:.1f} %" if one[key] is not None else "" for key in ("spread", "stated", "bound")),
+                    *(
+                        f"{100 * one[key]:.1f} %" if one[key] is not None else ""
+                        for key in ("spread", "stated", "bound")
+                    ),
                 )
                 for one in found["spread"]
             ],

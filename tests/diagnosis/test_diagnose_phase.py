@@ -170,7 +170,9 @@ def test_a_phase_that_goes_with_range_is_told(same: float, aside: float, points:
 
 
 def test_without_look_directions_nothing_is_said_of_the_track() -> None:
-    lines = [AzimuthSpectrum.of(image(lambda x: 0.0 * x)[mask], SPACING_M, CELLS_M) for mask in folds_of(ROWS, 0.3, 0.59)]
+    lines = [
+        AzimuthSpectrum.of(image(lambda x: 0.0 * x)[mask], SPACING_M, CELLS_M) for mask in folds_of(ROWS, 0.3, 0.59)
+    ]
     assert asked(lines).motion.outcome == "not testable"
 
 
