@@ -1,6 +1,6 @@
 """The search for a phase over slow time in complex images: its cost, and how far what it finds is off.
 
-    python benchmarks/phase_search.py [--only cost spread] [--sides 640 1024 2048] [--draws 24]
+    python benchmarks/phase_search.py [--only cost spread level] [--sides 640 1024 2048] [--draws 24]
     [--out phase_search.json] [--write]
 
 The images are made: speckle with points, or with an edge alone (`tests/phase_images.py`). `cost`: one whole question
@@ -8,7 +8,7 @@ The images are made: speckle with points, or with an edge alone (`tests/phase_im
 one, each in a process of its own. Time is that of the processor, so other programs beside it hardly count. `spread`: an
 error of 2 pi at the band's edge that all ranges share, and one that goes with the look direction, in draws. Beside the
 spread stands what the fit states, and the Cramer-Rao bound of a measurement that knows the power of every place and
-searches for the phase alone.
+searches for the phase alone. `level`: the spread again with none of the spectrum's level taken out, half and all.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ import phase_images
 import tables
 from phase_images import COLUMNS, TURN, aside_of, folds, image
 
+from warpsar.diagnosis.phase import spectrum
 from warpsar.diagnosis.phase.ask import asked, folds_of
 from warpsar.diagnosis.phase.fit import QUADRATIC, QUADRATIC_MOTION, deviations, fitted
 from warpsar.diagnosis.phase.spectrum import AzimuthSpectrum
@@ -97,6 +98,19 @@ def spread(sides: list[int], draws: int) -> list[dict[str, Any]]:
     return found
 
 
+def level(sides: list[int], draws: int) -> list[dict[str, Any]]:
+    """What an error that goes with the look direction spreads by, with other shares of the level taken out."""
+    found, aside = [], aside_of(128)
+    for share in (0.0, 0.5, 1.0):
+        spectrum.LEVEL_SHARE = share
+        for what, kind in (("16 points", {"points": 16}), ("an edge", {"edge": True})):
+            values, _ = _drawn(lambda x: TURN * aside[:, None] * x**2, kind, 128, draws, QUADRATIC_MOTION)
+            found.append({"share": share, "image": what, "spread": float(values.std(ddof=1) / TURN)})
+            print(json.dumps(found[-1]), flush=True)
+    spectrum.LEVEL_SHARE = 0.5
+    return found
+
+
 def _drawn(phase: Callable[..., Any], kind: dict[str, Any], rows: int, draws: int, family: Any) -> tuple[Any, Any]:
     """The last coefficient in each draw, and the standard deviation that is stated [rad]."""
     found, stated = [], []
@@ -133,7 +147,7 @@ def _bounds(rows: int) -> tuple[float, float]:
 
 
 _PARTS = ("spread", "stated", "bound")
-WORK = {"cost": cost, "spread": spread}
+WORK = {"cost": cost, "spread": spread, "level": level}
 
 
 def written(found: dict[str, Any]) -> dict[str, str]:
@@ -162,6 +176,13 @@ def written(found: dict[str, Any]) -> dict[str, str]:
                 for one in found["spread"]
             ],
         )
+    if "level" in found:
+        shares = dict.fromkeys(one["share"] for one in found["level"])
+        rows = [
+            (f"{share:g}", *(f"{100 * one['spread']:.1f} %" for one in found["level"] if one["share"] == share))
+            for share in shares
+        ]
+        bodies["phase.level"] = tables.markdown(("share of the level", "16 points", "an edge"), rows)
     return bodies
 
 

@@ -29,6 +29,8 @@ WINDOW_CELLS = 2.5
 """Over which power counts as constant."""
 DARKEST = 1e-3
 """Of the mean power of all rows: what is darker is taken for noise."""
+LEVEL_SHARE = 0.5
+"""Of the level of the amplitude spectrum, as an exponent, that is taken out."""
 LEVEL_DEGREE = 6
 """Of the polynomial along the aperture that the logarithm of the mean power spectrum is fitted by."""
 _LEAST_LEVEL = 1e-2
@@ -83,7 +85,7 @@ class AzimuthSpectrum:
         found = fft.fft(image, length, axis=1)[:, index].astype(np.complex64)
         some = (np.abs(found) ** 2).sum(axis=1) > 0.0
         found, told = found[some], np.zeros(len(image)) if aside is None else aside
-        found /= np.sqrt(_level(found, place[index])).astype(np.float32)
+        found /= (_level(found, place[index]) ** LEVEL_SHARE).astype(np.float32)
         known = np.ones(len(image)) if stretch is None or np.ptp(stretch**2) <= _ALIKE else stretch
         rows, columns = (2 * int(0.5 * WINDOW_CELLS * c / s) + 1 for c, s in zip(cells_m, spacing_m, strict=True))
         inside = slice(border, image.shape[1] - border)
