@@ -158,8 +158,9 @@ def written(found: dict[str, Any]) -> dict[str, str]:
         rows = []
         for side in dict.fromkeys(one["side"] for one in found["cost"]):
             both = [one for one in found["cost"] if one["side"] == side]
-            said = [f"{one['outcome']}, {one['cpu_s']:.0f} s" for one in both]
-            rows.append((f"{side:,} x {side:,}", *said, f"{max(one['peak_gib'] for one in both):.2f} GiB"))
+            said = {one["turn_rad"]: f"{one['outcome']}, {one['cpu_s']:.0f} s" for one in both}
+            told = [said.get(turn, "not measured") for turn in (TURN, 0.0)]
+            rows.append((f"{side:,} x {side:,}", *told, f"{max(one['peak_gib'] for one in both):.2f} GiB"))
         bodies["phase.cost"] = tables.markdown(header, rows)
     if "spread" in found:
         header = ("image", "rows", "error", "mean", *_PARTS)
