@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
 import warp as wp
 
 from warpsar.coherent.body import CoherentBody
 from warpsar.coherent.patches import PatchesOnDevice
+from warpsar.coherent.sweep import Worker
+from warpsar.collection import places
 from warpsar.collection.plan import Plan
 from warpsar.collection.scatterers import TOGETHER, body_of, spacing_m
 from warpsar.scene.scene import Scene
+from warpsar.world.frame import SPEED_OF_LIGHT
 
 TILE_BYTES = 2**31
 """Memory of a tile of an image, where nobody says how much there may be."""
@@ -42,13 +46,15 @@ class Bodies:
         self._spacing = 0.0
         self._body: CoherentBody | None = None
         self._patches: PatchesOnDevice | None = None
+        self._worker: Worker | None = None
 
     def of(self, plan: Plan) -> CoherentBody:
         """The body for one of the plans, made where the last one does not serve."""
         needed = spacing_m(plan)
         spacing = next(one for one in self._spacings if one >= ALIKE * needed)
         if self._body is None or spacing != self._spacing:
-            self._body, self._spacing, self._patches = None, spacing, None  # a device may not hold two
+            self._body, self._spacing = None, spacing  # a device may not hold two
+            self._patches = self._worker = None
             self._body = body_of(self.world, spacing, self.device, self.seed)
         return self._body
 
@@ -59,3 +65,10 @@ class Bodies:
             middle = body.origin + plan.site.reference_m
             self._patches = body.patches.on(self.device, lambda point: plan.site.about(point + middle))
         return self._patches
+
+    def rough_worker(self, plan: Plan) -> Worker:
+        """What sees the body's rough faces at a plan's frequency."""
+        body, k = self.of(plan), 2.0 * np.pi * plan.centre_hz / SPEED_OF_LIGHT
+        if self._worker is None or self._worker.k[0] != k:
+            self._worker = places.worker_of(body, k, ("rough",), 1, 1.0)
+        return self._worker

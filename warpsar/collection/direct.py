@@ -188,9 +188,7 @@ def rough_of(bodies: Bodies, plan: Plan, progress: Any = None) -> Seen:
     `progress` counts tiles, by fractions.
     """
     world, body, patches = bodies.world, bodies.of(plan), bodies.patches(plan)
-    k = 2.0 * np.pi * plan.centre_hz / SPEED_OF_LIGHT
-    worker = places.worker_of(body, k, ("rough",), 1, 1.0)
-    radar = rough_sight(plan, body, plan.middle)
+    worker, radar = bodies.rough_worker(plan), rough_sight(plan, body, plan.middle)
     columns = tuple(POLARIZATIONS.index(name[::-1]) for name in world.radar.polarizations)
 
     def seen(frame: Any, low: F64, high: F64) -> Iterator[DeviceScatterers]:

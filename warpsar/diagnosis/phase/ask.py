@@ -23,7 +23,16 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from warpsar.diagnosis.phase.fit import MOTION, POLYNOMIAL, QUADRATIC, QUADRATIC_MOTION, SPLINE, PhaseFamily, fitted
+from warpsar.diagnosis.phase.fit import (
+    MOTION,
+    POLYNOMIAL,
+    QUADRATIC,
+    QUADRATIC_MOTION,
+    SPLINE,
+    PhaseFamily,
+    deviations,
+    fitted,
+)
 from warpsar.diagnosis.phase.least import ACROSS, CUBIC, FOUND, SQUARE, least_found
 from warpsar.diagnosis.phase.search import SURE, FoldedRows, Present, SpeckleGains, moved, present
 from warpsar.diagnosis.phase.spectrum import AzimuthSpectrum
@@ -32,7 +41,9 @@ Outcome = Literal["named", "absent", "not testable", "not told", "declared"]
 BLOCKS = 8
 GAP_CELLS = 2.0
 """Between blocks: rows so near share their points."""
-FEWEST_ROWS = 16
+FEWEST_ROWS, MOST_ROWS = 16, 1024
+"""In one fold, and in both. The middles of the blocks are looked at where an image has more: so they reach over all its
+ranges, from whose ends an error of the track is told."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +56,7 @@ class PhaseFound:
     coefficients: tuple[float, ...] = ()
     """Of the family's columns [rad]."""
     error: tuple[float, ...] = ()
-    """Half of what the two folds differ [rad]."""
+    """Standard deviations, from how blocks of rows differ [rad]."""
     gain: float = 0.0
     """Sum over the rows of what the contrast gains, each under the phase of the other fold."""
     gain_of_speckle: tuple[float, float] = (0.0, 0.0)
@@ -69,7 +80,7 @@ class MotionFound:
     aside: tuple[float, ...] = ()
     """Of the part that goes with `AzimuthSpectrum.aside`, where that is 1 [rad]."""
     error: tuple[float, ...] = ()
-    """Half of what the two folds differ, of both parts [rad]."""
+    """Standard deviations of both parts [rad]."""
     gain: float = 0.0
     """Of rows under what the other fold found, beyond that of a phase that all ranges share."""
     gain_of_speckle: tuple[float, float] = (0.0, 0.0)
@@ -88,11 +99,12 @@ class Asked(NamedTuple):
 
 
 def folds_of(rows: int, spacing_m: float, cell_m: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Two masks of an image's rows, (rows,): every other block of range, without the rows at their borders."""
+    """Two masks of an image's rows, (rows,): every other block of range, without the rows at their borders, and with
+    at most `MOST_ROWS` together."""
     place = np.arange(rows) * BLOCKS / rows
     block = place.astype(int)
-    edge = np.minimum(place - block, block + 1 - place) * rows / BLOCKS * spacing_m
-    inside = edge >= 0.5 * GAP_CELLS * cell_m
+    edge = np.minimum(place - block, block + 1 - place) * rows
+    inside = edge >= max(0.5 * GAP_CELLS * cell_m / spacing_m * BLOCKS, 0.5 * (rows - MOST_ROWS))
     return inside & (block % 2 == 0), inside & (block % 2 == 1)
 
 
@@ -153,8 +165,8 @@ def _named(rows: FoldedRows, speckle: SpeckleGains, found: Present) -> Asked:
         f"rows that decided nothing get sharper by {best.gain:.3g}, speckle by {mean:.2g} +- {sd:.2g}, "
         f"under real weights by {found.weights:.3g}, and beside these the phase adds {found.beside:.3g}"
     )
-    whole = _of_all_rows(rows, best.family)
-    told = partial(told, family=best.family.name, coefficients=whole, error=tuple(best.error.tolist()))
+    whole, error = _of_all_rows(rows, best.family)
+    told = partial(told, family=best.family.name, coefficients=tuple(whole.tolist()), error=tuple(error.tolist()))
     return Asked(told("named", why, gain=best.gain, gain_of_speckle=(mean, sd)), motion)
 
 
@@ -175,9 +187,9 @@ def _motion(rows: FoldedRows, speckle: SpeckleGains) -> MotionFound:
         f"with a part that goes with the look direction rows that decided nothing gain {found.gain:.3g} more, speckle "
         f"{mean:.2g} +- {sd:.2g}, and with one that goes with its square {found.rival:.3g}"
     )
-    same, aside = (_filled(part) for part in np.split(np.array(_of_all_rows(rows, best.family)), 2))
-    error = sum((_filled(part) for part in np.split(best.error, 2)), ())
-    return told("named", why, same, aside, error)
+    whole, error = _of_all_rows(rows, best.family)
+    same, aside = (_filled(part) for part in np.split(whole, 2))
+    return told("named", why, same, aside, sum((_filled(part) for part in np.split(error, 2)), ()))
 
 
 def _not_moved(rows: FoldedRows, speckle: SpeckleGains) -> MotionFound:
@@ -196,8 +208,11 @@ def _not_moved(rows: FoldedRows, speckle: SpeckleGains) -> MotionFound:
     return MotionFound("absent", why, least_rad=least)
 
 
-def _of_all_rows(rows: FoldedRows, family: PhaseFamily) -> tuple[float, ...]:
-    return tuple(fitted(AzimuthSpectrum.joined(rows.folds), family).tolist())
+def _of_all_rows(rows: FoldedRows, family: PhaseFamily) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The coefficients, and their standard deviations."""
+    joined = AzimuthSpectrum.joined(rows.folds)
+    found = fitted(joined, family)
+    return found, deviations(joined, family, found)
 
 
 def _filled(part: NDArray[np.float64]) -> tuple[float, ...]:

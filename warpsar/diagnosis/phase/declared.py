@@ -23,8 +23,8 @@ from warpsar.world.tables import View
 EFFECT = "phase_error"
 MOTION_ERROR = "motion_error"
 _POLYNOMIAL = ("quadratic_rad", "cubic_rad", "quartic_rad")
-MOST_SIDE = 2048
-"""Rows and columns of an image that are looked at, about its middle."""
+MOST_COLUMNS = 2048
+"""Of an image that are looked at, about its middle."""
 _MARGINS = 3
 """Of borders at either end of a row, in what must be left between them."""
 
@@ -141,18 +141,21 @@ def _asked(scene: Scene, view: View) -> PhaseAsked:
     for polarization, path in view.slc.items():
         image, range_m, azimuth_m = complex_image.read(path, polarization)
         spacing = (float(range_m[1] - range_m[0]), float(azimuth_m[1] - azimuth_m[0]))
-        image, range_m = _middle(image), _middle(range_m[:, None])[:, 0]
+        image = _middle(image)
         if spacing[1] > cells[1]:
             why = f"samples are {spacing[1]:.3g} m apart in azimuth, and a cell is {cells[1]:.3g} m: the phase is lost"
             return nothing("not testable", why)
         if image.shape[1] * spacing[1] < 2 * _MARGINS * BORDER_CELLS * cells[1]:
             return nothing("not testable", f"its rows are shorter than {2 * _MARGINS * BORDER_CELLS} cells")
-        aside = _aside(scene, view, range_m)
+        aside, slant = _aside(scene, view, range_m), scene.slant_range_m(view)
+        stretch = None if slant is None else (slant + range_m) / slant
         widest = 0.0 if aside is None else float(np.abs(aside).max())
         told = np.zeros(len(image)) if aside is None or not widest else aside / widest
         known = np.where(np.isfinite(image), image, 0.0).astype(np.complex64)
         for fold, mask in zip(folds, folds_of(len(known), spacing[0], cells[0]), strict=True):
-            fold.append(AzimuthSpectrum.of(known[mask], spacing, cells, told[mask]))
+            fold.append(
+                AzimuthSpectrum.of(known[mask], spacing, cells, told[mask], None if stretch is None else stretch[mask])
+            )
     joined, seed = [AzimuthSpectrum.joined(one) for one in folds], scene.sampling.seed
     found, motion = asked(joined, seed=seed)
     if found.outcome == "not testable":
@@ -173,9 +176,9 @@ def _aside(scene: Scene, view: View, range_m: NDArray[np.float64]) -> NDArray[np
 
 
 def _middle(image: NDArray[Any]) -> NDArray[Any]:
-    """At most `MOST_SIDE` rows and columns."""
-    starts = [max(0, (side - MOST_SIDE) // 2) for side in image.shape]
-    return image[starts[0] : starts[0] + MOST_SIDE, starts[1] : starts[1] + MOST_SIDE]
+    """At most `MOST_COLUMNS` columns."""
+    start = max(0, (image.shape[1] - MOST_COLUMNS) // 2)
+    return image[:, start : start + MOST_COLUMNS]
 
 
 def with_phase_errors(scene: Scene, found: list[PhaseAsked]) -> Scene:

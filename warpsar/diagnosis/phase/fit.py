@@ -18,6 +18,8 @@ MOST_RAD, MOST_ASIDE_RAD, STEP_RAD = 30.0, 20.0, 1.0
 """Quadratic phases at the aperture's ends at which fits may begin: those that all ranges share, those that go with
 `AzimuthSpectrum.aside`, and how far they lie apart. Contrast has its peak within about a radian."""
 _STARTS = 2
+_CURVATURE_RAD = 0.2
+"""Over which slopes are compared, rms over the aperture."""
 
 
 @dataclass(frozen=True)
@@ -40,18 +42,31 @@ class PhaseFamily:
 
     def phase(self, lines: AzimuthSpectrum, coefficients: F64) -> F64:
         """(frequencies,), or (rows, frequencies) where it changes with range [rad]."""
-        basis = self.basis(lines.place)
-        if not self.aside:
+        basis, stretch = self.basis(lines.place), self._stretch(lines)
+        if not self.aside and stretch is None:
             return np.asarray(basis @ coefficients)
-        same, other = np.split(np.asarray(coefficients), 2)
-        return np.asarray(basis @ same + lines.aside[:, None] * (basis @ other))
+        same, other = np.split(np.asarray(coefficients), 2) if self.aside else (coefficients, np.zeros(self.columns))
+        of_rows = same + lines.aside[:, None] * other
+        return np.asarray((of_rows if stretch is None else of_rows * stretch) @ basis.T)
 
     def back(self, lines: AzimuthSpectrum, slope: F64) -> F64:
         """The derivative with the coefficients of one with the phase: the adjoint of `phase`."""
-        basis = self.basis(lines.place)
-        if not self.aside:
-            return np.asarray(basis.T @ slope)
-        return np.concatenate([basis.T @ slope.sum(axis=0), basis.T @ (lines.aside @ slope)])
+        if slope.ndim == 1:
+            return np.asarray(self.basis(lines.place).T @ slope)
+        return np.asarray(self.back_of_rows(lines, slope).sum(axis=0))
+
+    def back_of_rows(self, lines: AzimuthSpectrum, slope: F64) -> F64:
+        """What each row adds to it, (rows, coefficients), of a `slope` (rows, frequencies)."""
+        each, stretch = slope @ self.basis(lines.place), self._stretch(lines)
+        each = each if stretch is None else each * stretch
+        return np.concatenate([each, lines.aside[:, None] * each], axis=1) if self.aside else each
+
+    def _stretch(self, lines: AzimuthSpectrum) -> F64 | None:
+        """What `AzimuthSpectrum.stretch` makes of each column, (rows, columns): of x^k its k-th power, beside a part
+        that is linear. A spline is taken to be the same at all ranges."""
+        if self.name == "spline" or not lines.stretched:
+            return None
+        return np.asarray(lines.stretch[:, None] ** np.array(POWERS[: self.columns]))
 
     def scale(self, lines: AzimuthSpectrum) -> F64:
         """What one radian of phase, rms, is of each coefficient."""
@@ -72,7 +87,7 @@ _TRIED_ASIDE = np.arange(-MOST_ASIDE_RAD, MOST_ASIDE_RAD + STEP_RAD, 2.0 * STEP_
 
 def trials(lines: AzimuthSpectrum) -> F64:
     """The contrast of each row under the quadratic phases at which fits may begin, (rows, tried)."""
-    square = QUADRATIC.basis(lines.place)[:, 0]
+    square = QUADRATIC.phase(lines, np.ones(1))
     return np.stack([corrected(lines, q * square) for q in _TRIED], axis=1)
 
 
@@ -97,6 +112,29 @@ def fitted(lines: AzimuthSpectrum, family: PhaseFamily, trial: F64 | None = None
         best.append(np.concatenate([q * to_basis for q in parts]) * scale)
     found = [minimize(cost, x, jac=True, method="L-BFGS-B", options={"maxiter": 30}) for x in best]
     return np.asarray(min(found, key=lambda one: float(one.fun)).x / scale)
+
+
+def deviations(lines: AzimuthSpectrum, family: PhaseFamily, coefficients: F64) -> F64:
+    """The standard deviations of coefficients that were fitted, (coefficients,).
+
+    The samples of a window depend on each other, so the contrast is no exact likelihood, and its curvature alone says
+    no interval. How the slopes of blocks of rows scatter says how far the optimum moves (a sandwich, Huber 1967).
+    """
+    scale = family.scale(lines)
+
+    def slopes(x: F64) -> F64:
+        phase = np.broadcast_to(family.phase(lines, x / scale), lines.spectrum.shape)
+        return family.back_of_rows(lines, mean_contrast_and_slope(lines, phase)[1]) / scale
+
+    at, step = coefficients * scale, _CURVATURE_RAD
+    curvature = np.stack([(slopes(at + e) - slopes(at - e)).sum(axis=0) / (2.0 * step) for e in step * np.eye(len(at))])
+    block = lines.row_blocks()
+    blocks = int(block[-1]) + 1
+    each = np.zeros((blocks, len(at)))
+    np.add.at(each, block, slopes(at))
+    each -= each.mean(axis=0)
+    moved = np.linalg.lstsq(0.5 * (curvature + curvature.T), each.T, rcond=None)[0]
+    return np.asarray(np.sqrt((moved**2).sum(axis=1) * blocks / (blocks - 1)) / scale)
 
 
 def _starts(trial: F64, aside: F64 | None) -> list[tuple[float, float]]:

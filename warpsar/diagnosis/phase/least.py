@@ -26,8 +26,6 @@ SIZES_RAD = 2.0 * np.pi * 0.8 ** np.arange(14)[::-1]
 """Of errors that are tried, at the aperture's ends, from the smallest."""
 _DRAWS = 50
 _SIGNS = (1.0, -1.0)
-_BLOCK_WINDOWS = 2
-"""Of the rows that are drawn together."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +38,7 @@ class Injected:
 
     def phase(self, lines: AzimuthSpectrum, size_rad: float) -> F64:
         """(frequencies,), or (rows, frequencies) [rad]."""
-        one = size_rad * POLYNOMIAL.basis(lines.place)[:, self.column]
+        one = POLYNOMIAL.phase(lines, size_rad * np.eye(POLYNOMIAL.columns)[self.column])
         return np.asarray(lines.aside[:, None] * one if self.across else one)
 
 
@@ -83,7 +81,7 @@ def _blocks_drawn(rows: FoldedRows) -> F64:
     """How often each row is there when blocks of neighbours are drawn again, (draws, rows)."""
     random, told = np.random.default_rng(7), []
     for lines in rows.folds:
-        blocks = max(1, len(lines) // (_BLOCK_WINDOWS * lines.window[0]))
-        block = np.arange(len(lines)) * blocks // len(lines)
+        block = lines.row_blocks()
+        blocks = int(block[-1]) + 1
         told.append(random.multinomial(blocks, np.full(blocks, 1.0 / blocks), _DRAWS)[:, block])
     return np.concatenate(told, axis=1).astype(np.float64)

@@ -26,6 +26,9 @@ from warpsar.diagnosis.phase.spectrum import AzimuthSpectrum, contrast, correcte
 
 F64 = NDArray[np.float64]
 DRAWS = 12
+SPECKLE_ROWS = 128
+"""Of a fold of speckle that are searched, at most. No phase changes speckle's contrast but by chance, so sums over its
+rows grow with the root of their number, and fewer rows tell those of all."""
 SURE = 4.0
 """Standard deviations of speckle's own gains that a gain must reach."""
 PROBE_RAD = 2.0 * np.pi
@@ -44,11 +47,6 @@ class FamilySearch:
     """The contrast of each row under what the other fold found, one fold after the other, (rows,)."""
     gain: float
     """Of that over the rows as they are, their sum."""
-
-    @property
-    def error(self) -> F64:
-        """Half of what the two folds differ [rad]."""
-        return np.asarray(0.5 * np.abs(self.each[0] - self.each[1]))
 
 
 class FoldedRows:
@@ -95,7 +93,7 @@ class FoldedRows:
         signs."""
         lines = AzimuthSpectrum.joined(self.folds)
         phase = family.phase(lines, fitted(lines, family, np.concatenate(self._trials)))
-        square = PROBE_RAD * QUADRATIC.basis(lines.place)[:, 0]
+        square = QUADRATIC.phase(lines, np.array([PROBE_RAD]))
         best, *worse = (float(corrected(lines, phase + sign * square).sum()) for sign in (0.0, 1.0, -1.0))
         return best - 0.5 * sum(worse)
 
@@ -123,20 +121,30 @@ class SpeckleGains:
         gains: dict[PhaseFamily, list[float]] = {family: [] for family in rows.families}
         for drawn in self._drawn():
             for family, several in gains.items():
-                several.append(drawn.search(family).gain)
+                several.append(self._root * drawn.search(family).gain)
         self.gains = {family: np.array(several) for family, several in gains.items()}
-        self.folds = drawn.folds
-        """Of one draw."""
+        self.folds = next(self._folds_drawn())
+        """Of one draw, all rows."""
 
-    def _drawn(self) -> Iterator[FoldedRows]:
+    @cached_property
+    def _root(self) -> float:
+        """What sums over the rows that are searched are of those over all rows."""
+        lengths = [len(one) for one in self._rows.folds]
+        return float(np.sqrt(sum(lengths) / sum(min(one, SPECKLE_ROWS) for one in lengths)))
+
+    def _folds_drawn(self) -> Iterator[list[AzimuthSpectrum]]:
         random = np.random.default_rng([self._seed, 5])
         for _ in range(DRAWS):
-            yield FoldedRows([one.speckle(random) for one in self._rows.folds])
+            yield [one.speckle(random) for one in self._rows.folds]
+
+    def _drawn(self) -> Iterator[FoldedRows]:
+        for folds in self._folds_drawn():
+            yield FoldedRows([one.first(SPECKLE_ROWS) for one in folds])
 
     def tells(self, family: PhaseFamily) -> bool:
         """Whether the rows lose more contrast beside their best phase than speckle does beside its own: without points
         and edges both folds may agree by chance, and one phase is as good as the next."""
-        told = np.array([drawn.loss(family) for drawn in self._drawn()])
+        told = self._root * np.array([drawn.loss(family) for drawn in self._drawn()])
         return self._rows.loss(family) > float(told.mean() + SURE * told.std(ddof=1))
 
     def moments(self, family: PhaseFamily, less: PhaseFamily | None = None) -> tuple[float, float]:
