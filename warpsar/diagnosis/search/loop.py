@@ -95,6 +95,7 @@ class Search:
             self._ended_early()
 
     def _search(self) -> None:
+        self._look_at_shadows()
         while self._forward():
             if not self._confirmed():
                 break
@@ -218,8 +219,12 @@ class Search:
                 self._setup, self._base = on_its_ground(self._setup, self._other, turn.fitted)
             else:
                 self._setup, self._base = narrow(self._setup, self._other, turn.fitted)
-            if any(not is_geometry(name) and get(name).additive for name in self._added(self._base)):
-                self._setup, self._base = with_shadows(self._setup, self._base)
+            self._look_at_shadows()
+
+    def _look_at_shadows(self) -> None:
+        """Let shadows fit what adds power, where no pixels lie far from what is lit."""
+        if any(get(name).additive for name in self._base.scene.effects):
+            self._setup, self._base = with_shadows(self._setup, self._base)
 
     def _turn(self) -> Turn:
         """Score every effect that is not in the model, fit the best, and add the likeliest. Drop those of earlier turns
