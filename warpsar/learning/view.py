@@ -205,8 +205,10 @@ class ViewJacobian:
             for (polarization, pixels, darkest), mu, rows in zip(view.compared, modelled, found, strict=True):
                 tangents = self._tangents.through_image(polarization, self._at_nodes(polarization, nodes))
                 seen = np.where(mu > darkest, 1.0 / mu, 0.0)  # no darker pixel changes
+                taken = np.empty(mu.size, np.float32)
                 for column, tangent in zip(nodes.columns, tangents, strict=True):
-                    np.multiply(tangent[pixels], seen, out=rows[column])
+                    # clipping checks no index: a third of the time
+                    np.multiply(tangent.take(pixels, out=taken, mode="clip"), seen, out=rows[column])
             stale += self._render.before_image.values()
         for move in moves:
             moved = [name for name, up in move.up.items() if not np.array_equal(up, move.down[name])]
