@@ -1,4 +1,4 @@
-"""Power into images on the CPU, many elements to a thread, against sums by NumPy and the kernels of one element each."""
+"""Power into images on the CPU, many elements to a thread, against sums by NumPy and kernels of one element each."""
 
 from typing import Any
 
