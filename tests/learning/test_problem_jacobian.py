@@ -129,6 +129,29 @@ def test_columns_and_bounds(tmp_path: Path) -> None:
         np.testing.assert_allclose(one[:, 1], other[:, 1], atol=0.02)
 
 
+@pytest.mark.parametrize("pair", PAIRS, ids=lambda pair: "-".join(name for one in pair for name in one))
+def test_images_that_stand_are_not_made_again(pair: tuple[dict[str, Any], ...], tmp_path: Path) -> None:
+    """Where the last run was at x, or at its surface, the Jacobian is to the bit that of a run that makes all anew; so
+    are images after it."""
+    scene = street()
+    for one in pair:
+        for name, table in one.items():
+            scene = with_effect(scene, name, table)
+    problem = learning(scene, tmp_path)
+    x = problem.x0 + 0.01
+    beside = x.copy()
+    beside[problem.learned.size :] -= 0.02  # effects alone
+    elsewhere = problem.modelled(x + 0.01)
+    problem.gradient(x)  # after which no image stands
+    expected = problem.jacobian(x)
+    for before in (x, beside):
+        problem.modelled(before)
+        for one, other in zip(problem.jacobian(x), expected, strict=True):
+            np.testing.assert_array_equal(one, other)
+    for mu, other in zip(problem.modelled(x + 0.01), elsewhere, strict=True):
+        np.testing.assert_array_equal(mu, other)
+
+
 def test_unknown_gains_are_projected_out(tmp_path: Path) -> None:
     scene = learning(street(), tmp_path).scene
     scene = replace(scene, grid=scene.grid.model_copy(update={"calibrated": False}))

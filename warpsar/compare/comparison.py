@@ -12,7 +12,7 @@ import numpy as np
 import warp as wp
 
 from warpsar.compare.metrics import ImageMetrics, image_metrics
-from warpsar.compare.modelled import BY_RAYS, SURE_SDS, Modelled, modelled, sampled
+from warpsar.compare.modelled import BY_RAYS, SURE_SDS, KeptAreas, Modelled, modelled, sampled
 from warpsar.compare.observation import Observation, declared_looks, looks_of, observe, usable_pixels
 from warpsar.effects.registry import declared, get
 from warpsar.runtime import console
@@ -214,12 +214,14 @@ def compare(
     shared: bool = False,
     progress: str = "",
     edges: bool = True,
+    kept: KeptAreas | None = None,
 ) -> SceneComparison:
     """Every measured image of the scene, of these roles, beside the declared model. Nothing is fitted but one gain for
     an image where the images are not calibrated.
 
     `seed` overrides the scene's. `shared`: whether the processes of the run share the views. `progress`: what the bar
     is called; empty for none. Without `edges` there are metrics alone, and no judgement: `slopes` and `moves` are 0.
+    `kept`: exact areas that models of one mesh share.
     Raises InputError for a scene without measured images, or where image and mesh do not meet.
     """
     views = [(index, view) for index, view in enumerate(scene.views) if view.images and view.role in roles]
@@ -241,7 +243,7 @@ def compare(
     def images() -> list[Comparison]:
         found = []
         for index, view in (views[i] for i in mine):
-            planes = modelled(scene, stage, view, index, seed, density, edges=edges)
+            planes = modelled(scene, stage, view, index, seed, density, edges=edges, kept=kept)
             found += [beside(scene, view, pol, plane) for pol, plane in planes.items()]
             if bar is not None:
                 bar.update()

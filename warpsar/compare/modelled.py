@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from hashlib import sha1
+from typing import Any
 
 import numpy as np
 from scipy import ndimage
@@ -16,6 +18,7 @@ from warpsar.simulation.rays import hit_grid, trace_view, view_seed
 from warpsar.surface.samples import image_pixels
 from warpsar.surface.stage import Stage
 from warpsar.trace.exact import exact_hits
+from warpsar.trace.hits import BinGrid, Hits
 from warpsar.world.objects.table import Object
 from warpsar.world.tables import View
 from warpsar.world.world import geometry_of, posed
@@ -26,6 +29,7 @@ lies far below speckle's. Hundreds of views of a fine mesh would take an hour by
 ABOUT = 3  # pixels on a side, over which the variance by rays is averaged
 BY_RAYS = 0.1  # share of a pixel's variance that rays make, from which its scatter is not speckle's alone
 BINS = 4  # of a pixel along each axis: a quarter of a pixel is what images are moved by
+MOST_KEPT = 2**21  # hits of exact areas, of some 60 bytes each, that are kept for further models of a mesh
 SURE_SDS = 3.0  # standard deviations by which an object with a stated accuracy is moved
 
 
@@ -51,6 +55,34 @@ class Modelled:
     material: np.ndarray
 
 
+class KeptAreas:
+    """Exact areas of views, which models of one mesh share whatever its surface and effects; the oldest go first."""
+
+    def __init__(self) -> None:
+        self._kept: dict[tuple[Any, ...], Hits] = {}
+
+    def hits(self, scene: Scene, stage: Stage, view: View, grid: BinGrid, seed: int, rays_per_m2: float) -> Hits:
+        """As `exact_hits`."""
+        target, geometry = stage.target, geometry_of(scene, view)
+        mesh = sha1(target.corners.tobytes())
+        for part in (target.corner_numbers, stage.face_material.numpy()):
+            mesh.update(part.tobytes())
+        axes = np.concatenate([geometry.d, geometry.u, geometry.v]).tobytes()
+        seen = mesh.digest(), axes, geometry.wavenumber, geometry.slant_range_m, grid, scene.grid.pixel_area_m2
+        key = *seen, seed, rays_per_m2
+        if key not in self._kept:
+            alike = next((hits for known, hits in self._kept.items() if known[: len(seen)] == seen), None)
+            if alike is None:
+                area = scene.grid.pixel_area_m2
+                found = exact_hits(target, geometry, grid, rays_per_m2, seed=seed, pixel_area_m2=area)
+            else:  # seed and density are for effects that send rays of their own
+                found = replace(alike, seed=seed, rays_per_m2=rays_per_m2, derived={})
+            self._kept[key] = found
+            while len(self._kept) > 1 and sum(hits.count for hits in self._kept.values()) > MOST_KEPT:
+                del self._kept[next(iter(self._kept))]
+        return self._kept[key]
+
+
 def exact_areas(scene: Scene) -> bool:
     """Whether the scene's images are compared by exact areas."""
     faces, measured = len(scene.mesh.faces), sum(bool(view.images) for view in scene.views)
@@ -64,18 +96,27 @@ def sampled(scene: Scene) -> bool:
 
 
 def modelled(
-    scene: Scene, stage: Stage, view: View, index: int, seed: int, rays_per_m2: float, *, edges: bool = True
+    scene: Scene,
+    stage: Stage,
+    view: View,
+    index: int,
+    seed: int,
+    rays_per_m2: float,
+    *,
+    edges: bool = True,
+    kept: KeptAreas | None = None,
 ) -> dict[str, Modelled]:
     """The polarizations of which the view has measured images. Without `edges`, slopes and moves are 0.
 
     Rays sample what exact areas do not: ways over several surfaces, and all light of large scenes. Then two independent
     sets of them are rendered. Their mean is the model, and their difference tells its variance. `index` is the view's
-    number in the scene.
+    number in the scene. Exact areas are taken from those `kept`.
     """
+    kept = kept or KeptAreas()
     effects, exact = declared(scene, view), exact_areas(scene)
     seeds = [view_seed(seed, index)] + [view_seed(seed + 1, index + len(scene.views))] * sampled(scene)
     bins = BINS if edges else 1
-    renders = [_render(scene, stage, view, effects, each, rays_per_m2, exact, bins) for each in seeds]
+    renders = [_render(scene, stage, view, effects, each, rays_per_m2, exact, bins, kept) for each in seeds]
     images = [render.forward() for render in renders]
     shifted = _shifted(renders[0]) if exact and edges else {}
     moves = _moves(scene, stage, view, effects, seeds[0], rays_per_m2) if edges else {}
@@ -121,6 +162,7 @@ def _render(
     rays_per_m2: float,
     exact: bool,
     bins: int,
+    kept: KeptAreas,
 ) -> ViewRender:
     shape, polarizations = scene.grid.shape, tuple(view.images)
     if not exact:
@@ -129,14 +171,7 @@ def _render(
     margin = sum(e.effect.margin_m(scene.grid, e.values) for e in effects)
     margin += max(scene.grid.spacing_m) if bins > 1 else 0.0
     fine = max([bins, *(e.effect.bins_per_pixel for e in effects)])
-    hits = exact_hits(
-        stage.target,
-        geometry_of(scene, view),
-        hit_grid(scene, fine, margin),
-        rays_per_m2,
-        seed=seed,
-        pixel_area_m2=scene.grid.pixel_area_m2,
-    )
+    hits = kept.hits(scene, stage, view, hit_grid(scene, fine, margin), seed, rays_per_m2)
     return ViewRender(stage, view, hits, shape, polarizations, effects)
 
 
@@ -192,7 +227,7 @@ def _moves(
         for way in (SURE_SDS, -SURE_SDS):
             moved = posed(scene, [_moved(one, axis, way) for one in scene.objects])
             there = Stage.of(moved, stage.target.device)
-            render = _render(moved, there, view, effects, seed, rays_per_m2, exact_areas(scene), 1)
+            render = _render(moved, there, view, effects, seed, rays_per_m2, exact_areas(scene), 1, KeptAreas())
             ends.append(render.forward())
         for pol in ends[0]:
             found.setdefault(pol, []).append((ends[0][pol].astype(float) - ends[1][pol]) / 2.0)

@@ -169,16 +169,29 @@ class FitProblem(SceneCoordinates):
         view.render.set_parameters(nodes, self._values(view, tables))
 
     def _run(self, x: np.ndarray | DeviceX) -> None:
-        nodes, tables = self._share(x), self.effect_tables(x)
-        surface = None if isinstance(x, DeviceX) or self._replayed else x[: self.learned.size].tobytes()
+        nodes, tables, surface = self._share(x), self.effect_tables(x), self._surface_at(x)
 
         def one(view: FitView) -> None:
-            values = self._values(view, tables)
-            view.render.set_parameters(nodes, values)
-            view.run_images(at=None if surface is None else (surface, values))
+            self._run_view(view, nodes, self._values(view, tables), surface)
 
         for _ in threads.ordered([partial(one, view) for view in self.views], self.device):
             pass
+
+    def _surface_at(self, x: np.ndarray | DeviceX) -> bytes | None:
+        """What tells the surface from any other; None where images may be made anew without a word."""
+        return None if isinstance(x, DeviceX) or self._replayed else x[: self.learned.size].tobytes()
+
+    def _run_view(
+        self,
+        view: FitView,
+        nodes: np.ndarray | None,
+        values: dict[str, np.ndarray],
+        surface: bytes | None,
+        *,
+        gradient: bool = False,
+    ) -> None:
+        view.render.set_parameters(nodes, values)
+        view.run_images(gradient=gradient, at=None if surface is None else (surface, values))
 
     def modelled(self, x: np.ndarray | DeviceX) -> list[np.ndarray]:
         """beta0 of every observation's interior pixels, before gains; the order of `observations`."""
@@ -480,7 +493,7 @@ class FitProblem(SceneCoordinates):
         self, makers: Sequence[ViewJacobian], x: np.ndarray, columns: Sequence[int]
     ) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """Modelled beta0 and Jacobian of every observation."""
-        shared, tables = self._share(x), self.effect_tables(x)
+        shared, tables, surface = self._share(x), self.effect_tables(x), self._surface_at(x)
         places = [place for place, column in enumerate(columns) if column < self.learned.size]
         nodes = Nodes(np.array(places, int), self.learned[[columns[place] for place in places]])
         moved = []
@@ -490,10 +503,10 @@ class FitProblem(SceneCoordinates):
                 moved.append((place, self.effect_tables(up), self.effect_tables(down), up[column] - down[column]))
 
         def one(view: FitView, maker: ViewJacobian) -> tuple[list[np.ndarray], list[np.ndarray]]:
-            self._set(view, shared, tables)
-            view.run_images(gradient=bool(places))
+            values = self._values(view, tables)
+            self._run_view(view, shared, values, surface, gradient=bool(places))
             moves = [Move(p, self._values(view, up), self._values(view, down), width) for p, up, down, width in moved]
-            return maker.dense(self._values(view, tables), nodes, moves, len(columns))
+            return maker.dense(values, nodes, moves, len(columns))
 
         tasks = [partial(one, view, maker) for view, maker in zip(self.views, makers, strict=True)]
         found = list(threads.ordered(tasks, self.device))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -13,13 +13,13 @@ import warp as wp
 
 from warpsar.effects.base.effect import DeclaredEffect, Effect
 from warpsar.effects.registry import response_of
-from warpsar.kernels import binning, shade, shade_lanes
+from warpsar.kernels import binning, deposit_lanes, shade, shade_lanes
 from warpsar.kernels.codes import PAGE, Layout, Polarization
 from warpsar.kernels.wide import LANES
 from warpsar.render import models
 from warpsar.render.rendered import COVERED
 from warpsar.runtime.launches import Launch, LaunchPiece, by_elements, by_stretches
-from warpsar.runtime.program import Program
+from warpsar.runtime.program import Program, adjoint_of
 from warpsar.runtime.structs import assign, fill
 from warpsar.surface.samples import shading_samples
 from warpsar.surface.spread import Spread
@@ -236,39 +236,71 @@ class ViewRender:
         for effect, p in self._at("gain"):
             sigma = effect.gain(self, p, sigma, points)
         self._collected = sigma, sample
+        if not self._moves:
+            self._note(weight, bins, None)
+            self._deposit(sigma, sample, weight, bins, image)
+        else:
+            self._deposit_moved(sigma, sample, weight, bins, image)
+
+    def _deposit(
+        self, sigma: wp.array, sample: wp.array | None, weight: wp.array, bins: wp.array, image: wp.array
+    ) -> None:
+        if self.program.device.is_cpu:
+            self._deposit_on_cpu(sigma, sample, weight, bins, image)
+            return
         if sample is not None:
             taken = self.program.array(bins.shape[0])
             self.program.launch(shade.take_kernel, bins.shape[0], [sample, sigma], [taken])
             sigma = taken
-        if not self._moves:
-            self._note(weight, bins, None)
-            self._deposit(sigma, weight, bins, image)
-        else:
-            self._deposit_moved(sigma, weight, bins, image)
+        first, _ = self._stretches(bins)
+        self.program.launch(
+            shade.deposit_kernel,
+            first.shape[0] * LANES,
+            [first, bins, weight, sigma, LANES],
+            [image],
+            adjoint=self._deposit_adjoint(sigma, weight, bins, image),
+        )
 
-    def _deposit(self, sigma: wp.array, weight: wp.array, bins: wp.array, image: wp.array) -> None:
+    def _deposit_on_cpu(
+        self, sigma: wp.array, sample: wp.array | None, weight: wp.array, bins: wp.array, image: wp.array
+    ) -> None:
+        """As `_deposit`: one launch takes sigma0 from the samples, too."""
+        device = self.program.device
+
+        @cache
+        def back_to_samples() -> Launch:
+            inputs = [bins, weight, sample, image.grad]
+            return Launch(deposit_lanes.deposit_adjoint_kernel, 1, inputs, [sigma.grad], device)
+
+        own = self._deposit_adjoint(sigma, weight, bins, image)
+        (first, pieces), each = self._stretches(bins), deposit_lanes.EACH
+        none = wp.empty(0, dtype=int, device=device)
+        self.program.launch(
+            deposit_lanes.deposit_kernel,
+            -(-first.shape[0] // each),
+            [first, bins, weight, none if sample is None else sample, sigma],
+            [image],
+            adjoint=own if sample is None else lambda: back_to_samples().launch(),
+            pieces=pieces,
+        )
+
+    def _deposit_adjoint(
+        self, sigma: wp.array, weight: wp.array, bins: wp.array, image: wp.array
+    ) -> Callable[[], None]:
         @cache
         def adjoint() -> Launch:
             pieces = by_elements([bins, weight, sigma.grad])
             inputs, outputs = [bins, weight, image.grad], [sigma.grad]
             return Launch(shade.deposit_adjoint_kernel, sigma.shape[0], inputs, outputs, self.program.device, pieces)
 
-        (first, pieces), lanes = self._stretches(bins), 1 if self.program.device.is_cpu else LANES
-        self.program.launch(
-            shade.deposit_kernel,
-            first.shape[0] * lanes,
-            [first, bins, weight, sigma, lanes],
-            [image],
-            adjoint=lambda: adjoint().launch(),
-            pieces=pieces,
-        )
+        return lambda: adjoint().launch()
 
     def _stretches(self, bins: wp.array) -> tuple[wp.array, list[LaunchPiece]]:
         """Where stretches of one bin begin, and pieces of a launch over them; the hits' own are kept with the hits."""
         kept = self.hits.derived if bins is self.hits.pixel else {}
         if "stretches" not in kept:
             first = starts(bins)
-            kept["stretches"] = first, by_stretches(first, bins)
+            kept["stretches"] = first, by_stretches(first, bins, per_thread=deposit_lanes.EACH)
         found: tuple[wp.array, list[LaunchPiece]] = kept["stretches"]
         return found
 
@@ -287,15 +319,26 @@ class ViewRender:
             shift = effect.shift(self, p, shift)
         return shift
 
-    def _deposit_moved(self, sigma: wp.array, weight: wp.array, bins: wp.array, image: wp.array) -> None:
+    def _deposit_moved(
+        self, sigma: wp.array, sample: wp.array | None, weight: wp.array, bins: wp.array, image: wp.array
+    ) -> None:
         """Record the deposit of bins finer or wider than the pixels, moved by what position effects say."""
         (bin_rows, bin_cols), (rows, cols) = self.hits.grid.shape, self.shape
-        shift = self._shift
+        shift, device = self._shift, self.program.device
         self._note(weight, bins, shift)
         # where the shift alone changes, no hit is touched
         filled = self.program.array(bin_rows * bin_cols, sum_into=True)
-        self._deposit(sigma, weight, bins, filled)
-        self.program.launch(binning.slide_kernel, (rows, cols), [self.bins, shift, filled], [image])
+        self._deposit(sigma, sample, weight, bins, filled)
+        inputs = [self.bins, shift, filled]
+        if not device.is_cpu or self.hits.grid.bins_per_pixel > deposit_lanes.WIDEST:
+            self.program.launch(binning.slide_kernel, (rows, cols), inputs, [image])
+            return
+
+        @cache
+        def adjoint() -> wp.Launch:
+            return adjoint_of(binning.slide_kernel, (rows, cols), inputs, [image], device)
+
+        self.program.launch(deposit_lanes.slide_kernel, rows, inputs, [image], adjoint=lambda: adjoint().launch())
 
     def _note(self, weight: wp.array, bins: wp.array, shift: wp.array | None) -> None:
         sigma, sample = self._collected

@@ -7,10 +7,13 @@ tangents: exactly where it is affine, and otherwise by central differences of th
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import warp as wp
 from scipy.sparse import coo_array, csc_array, csr_array, hstack
 
+from warpsar.kernels import deposit_lanes
 from warpsar.kernels import tangents as kernels
 from warpsar.kernels.codes import PAGE, Layout
 from warpsar.render.render import Deposited, Gathered, ViewRender
@@ -84,13 +87,27 @@ class Tangents:
                 column=column[g.page],
                 slopes=g.zeta.grad,
             )
-            kernel, inputs = kernels.tangent_kernel, [deposits]
-            if d.shift is not None:
-                kernel, inputs = kernels.moved_tangent_kernel, [render.bins, d.shift, deposits]
-            launch = wp.launch(kernel, d.bins.shape[0], inputs=inputs, outputs=[found], device=device, record_cmd=True)
-            if launch is not None:
-                launches.append(launch)
+            launches += self._adding(d, deposits, found)
         return found, launches
+
+    def _adding(self, d: Deposited, deposits: Any, found: wp.array) -> list[wp.Launch]:
+        """The launches that add a deposit's slopes."""
+        render = self._render
+        device, n = render.program.device, d.bins.shape[0]
+        if not device.is_cpu:
+            if d.shift is None:
+                return _recorded(kernels.tangent_kernel, n, [deposits], [found], device)
+            return _recorded(kernels.moved_tangent_kernel, n, [render.bins, d.shift, deposits], [found], device)
+        threads = -(-n // deposit_lanes.EACH)
+        if d.shift is None:
+            return _recorded(deposit_lanes.tangent_kernel, threads, [deposits], [found], device)
+        places = sum(render.hits.grid.shape)
+        placed = [wp.empty(places, dtype=dtype, device=device) for dtype in (int, wp.vec2)]
+        inputs = [render.bins, *placed, deposits]
+        return [
+            *_recorded(deposit_lanes.place_kernel, 1, [render.bins, d.shift], placed, device),
+            *_recorded(deposit_lanes.moved_tangent_kernel, threads, inputs, [found], device),
+        ]
 
     def matrix(self, polarization: str) -> csc_array:
         """d beta0 / d node before the image stage, shape (pixels, nodes), float64, whatever the layouts."""
@@ -162,6 +179,12 @@ class Tangents:
             moved[np.abs(moved) <= SMALLEST * np.abs(moved).max(axis=1, keepdims=True)] = 0.0
             found.append(csc_array(moved.T.astype(float)))
         return csc_array(hstack(found)) if found else columns
+
+
+def _recorded(kernel: wp.Kernel, dim: int, inputs: list[Any], outputs: list[Any], device: wp.Device) -> list[wp.Launch]:
+    """The launch, to be replayed; none without threads."""
+    launch = wp.launch(kernel, dim, inputs=inputs, outputs=outputs, device=device, record_cmd=True)
+    return [] if launch is None else [launch]
 
 
 def through_image(render: ViewRender, polarization: str, moves: np.ndarray) -> np.ndarray:

@@ -74,10 +74,13 @@ def by_elements(arrays: Sequence[wp.array], per_thread: int = 1) -> list[LaunchP
     return [LaunchPiece(-(-(end - begin) // per_thread), {id(a): a[begin:end] for a in arrays}) for begin, end in ends]
 
 
-def by_stretches(first: wp.array, values: wp.array, each: Sequence[wp.array] = ()) -> list[LaunchPiece]:
-    """Pieces of a launch whose thread i adds up `values` from first[i] to first[i + 1] - 1, or to their end.
+def by_stretches(
+    first: wp.array, values: wp.array, each: Sequence[wp.array] = (), per_thread: int = 1
+) -> list[LaunchPiece]:
+    """Pieces of a launch that adds up `values` from first[i] to first[i + 1] - 1, or to their end, for every i.
 
-    Of the arrays `each` it sees element i. Threads with equal elements there add to one sum: they stay in one piece.
+    A thread sees `per_thread` elements of `first`, and of the arrays `each`. Equal elements of these add to one sum:
+    they stay in one piece.
     """
     count = _count(values)
     if count < 2:
@@ -93,7 +96,10 @@ def by_stretches(first: wp.array, values: wp.array, each: Sequence[wp.array] = (
     for low, high in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
         end = int(begin[high]) if high < begin.size else values.shape[0]
         pieces.append(
-            LaunchPiece(high - low, {id(a): a[low:high] for a in (first, *each)} | {id(values): values[:end]})
+            LaunchPiece(
+                -(-(high - low) // per_thread),
+                {id(a): a[low:high] for a in (first, *each)} | {id(values): values[:end]},
+            )
         )
     return pieces
 

@@ -98,7 +98,6 @@ class ProgramPart:
         self._wanted = None if changed is None else changed.union(*(step.writes for step in steps))
         written = set().union(*(step.writes for step in steps)) if steps else set()
         self._sums = [array for array in program.sums if id(array) in written]
-        self._keeps = any(step.keeping for step in steps)
 
     @property
     def runs(self) -> bool:
@@ -110,9 +109,13 @@ class ProgramPart:
         for array in self._sums:
             array.zero_()
         for step in self._steps:
-            (step.keeping() if gradient and step.keeping else step.command).launch()
-        if self._keeps:
-            self._program.has_slopes = gradient
+            if step.keeping is None:
+                step.command.launch()
+            elif gradient:
+                self._program.keep(step)
+            else:
+                step.command.launch()
+                self._program.kept.discard(step)
 
     @cached_property
     def _gradients(self) -> list[wp.array]:
@@ -136,11 +139,10 @@ class ProgramPart:
 
         They are zeroed first; with `zero` false they add to what is there (programs that share an array).
         """
-        if self._keeps and not self._program.has_slopes:
-            for step in self._steps:
-                if step.keeping:
-                    step.keeping().launch()
-            self._program.has_slopes = True
+        keeping = [step for step in self._steps if step.keeping is not None]
+        if not self._program.kept.issuperset(keeping):
+            for step in keeping:  # all: a launch may write over what another one made
+                self._program.keep(step)
         commands = self._backward
         if zero:
             self.zero_gradients()
@@ -164,10 +166,16 @@ class Program:
     def __init__(self, device: wp.Device) -> None:
         self.device = device
         self.sums: list[wp.array] = []
-        self.has_slopes = False  # whether the last forward run left what adjoints need
+        self.kept: set[_Step] = set()  # launches whose last run left what their adjoints need
         self._steps: list[_Step] = []
         self._differentiable: list[wp.array] = []
         self._parts: dict[Any, ProgramPart] = {}
+
+    def keep(self, step: _Step) -> None:
+        """Run a launch so that it leaves what its adjoint needs."""
+        assert step.keeping is not None
+        step.keeping().launch()
+        self.kept.add(step)
 
     def array(
         self, shape: int | tuple[int, ...], dtype: type = float, *, grad: bool = True, sum_into: bool = False

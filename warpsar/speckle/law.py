@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from scipy.special import digamma, gammainc, gammaincc, gammainccinv, gammaincinv, gammaln, kve, ndtr, ndtri, polygamma
@@ -18,8 +19,14 @@ _NODES = 400  # of the texture's quantiles, over which speckle is averaged
 
 def looks_of_second(second: float) -> float:
     """The looks of a gamma law whose logarithm has the variance `second`: psi'(looks) is that."""
+    return float(np.exp(np.interp(-np.log(second), *_looks_by_second())))
+
+
+@cache
+def _looks_by_second() -> tuple[np.ndarray, np.ndarray]:
+    """-ln of the second log-cumulant, ascending, and ln of the looks that have it."""
     tried = np.geomspace(1e-2, 1e6, 6001)
-    return float(np.exp(np.interp(-np.log(second), -np.log(polygamma(1, tried)), np.log(tried))))
+    return -np.log(polygamma(1, tried)), np.log(tried)
 
 
 @dataclass(frozen=True)

@@ -49,12 +49,15 @@ def own_autocovariance(patches: Sequence[Patch]) -> tuple[np.ndarray, float]:
     means: list[list[np.ndarray]] = [[] for _ in lags]
     for patch in patches:
         level, inside = _levels(patch), patch.interior.astype(float)
+        standing = _standardised(patch.ratio, level, patch.looks)
         for found, (i, j) in zip(means, lags, strict=True):
-            both = np.prod(_pair(inside, i, j), axis=0)
-            here, there = (_standardised(one, _pair(level, i, j)[0], patch.looks) for one in _pair(patch.ratio, i, j))
+            both = np.multiply(*_pair(inside, i, j))
+            product = _standardised(_pair(patch.ratio, i, j)[1], _pair(level, i, j)[0], patch.looks)
+            product *= _pair(standing, i, j)[0]
+            product *= both
             count = _blocks(both)
             enough = count >= FULL * BLOCK**2
-            found.append(_blocks(here * there * both)[enough] / count[enough])
+            found.append(_blocks(product)[enough] / count[enough])
     medians = np.array([np.median(blocks) if (blocks := np.concatenate(m)).size else 0.0 for m in means])
     medians -= np.median(medians[np.hypot(*np.transpose(lags)) >= FAR])
     correlation = np.zeros((2 * LAGS + 1, 2 * LAGS + 1))
@@ -83,8 +86,11 @@ def _levels(patch: Patch) -> np.ndarray:
 
 
 def _standardised(ratio: np.ndarray, level: np.ndarray, looks: float) -> np.ndarray:
-    """sqrt(L) (ratio / level - 1) within +-`LARGEST`."""
-    return np.clip(np.sqrt(looks) * (ratio / level - 1.0), -LARGEST, LARGEST)
+    """sqrt(L) (ratio / level - 1) within +-`LARGEST`, as a new array."""
+    found = ratio / level
+    found -= 1.0
+    found *= np.sqrt(looks)
+    return np.clip(found, -LARGEST, LARGEST, out=found)
 
 
 def _pair(image: np.ndarray, i: int, j: int) -> tuple[np.ndarray, np.ndarray]:

@@ -54,7 +54,7 @@ class Stage:
     def of(cls, scene: World, device: wp.Device) -> Stage:
         """Load the kernels, and copy the scene's mesh and surface to the device."""
         surface = Surface.of(scene)
-        own = ["shade_lanes", "raster_lanes", "record_lanes", "hit_lanes"] if device.is_cpu else []
+        own = ["shade_lanes", "raster_lanes", "record_lanes", "hit_lanes", "deposit_lanes"] if device.is_cpu else []
         scatter = _scatter_kernels(surface, scene.radar.polarizations, device)
         devices.load_kernels(device, "trace", "merge", "shade", "raster", *own, alone=scatter)
         uv = np.zeros((0, 2), np.float32) if scene.mesh.uv is None else scene.mesh.uv

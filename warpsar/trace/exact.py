@@ -53,7 +53,7 @@ def exact_hits(
         seen, _covered(seen, grid, only_columns or (0, grid.shape[1]), device), grid
     )
     rays = ray_grid(target, geometry, grid, rays_per_m2, pixel_area)
-    barycentric = _barycentric(target.corners.T, target.corner_numbers[face].T, points)
+    barycentric = _barycentric(target.corners.T, target.corner_numbers.T, face, points)
     n = len(pixel)
     hits = allocate(
         HitArrays,
@@ -72,29 +72,32 @@ def exact_hits(
 
 def _merged_hits(seen: ProjectedMesh, cells: _Covered, grid: BinGrid) -> tuple[np.ndarray, ...]:
     """Pixel, face, area across the look direction [m^2] and mean point (3, n) [m], one for each face in a pixel."""
-    points = seen.points(cells.face, cells.azimuth / cells.area, cells.elevation / cells.area)
-    area, parent = cells.area * seen.stretch(points), seen.parent[cells.face]
     pixel = cells.row * grid.shape[1] + cells.column
-    order = np.argsort(pixel * len(seen.faces) + parent, kind="stable")
-    pixel, parent, area, points = pixel[order], parent[order], area[order], points[:, order] * area[order]
-    new = np.ones(len(pixel), bool)
-    new[1:] = (pixel[1:] != pixel[:-1]) | (parent[1:] != parent[:-1])
-    start = np.flatnonzero(new)
-    if len(start) == len(pixel):  # mostly
-        return pixel, parent, area, points / area
+    key = pixel * len(seen.faces) + seen.parent[cells.face]
+    order = np.argsort(key, kind="stable")
+    key, area, face = key[order], cells.area[order], cells.face[order]
+    points = seen.points(face, cells.azimuth[order] / area, cells.elevation[order] / area)
+    area = area * seen.stretch(points)
+    start = np.flatnonzero(np.diff(key, prepend=-1))
+    pixel, parent = np.divmod(key[start], len(seen.faces))
+    if len(start) == len(key):  # mostly
+        return pixel, parent, area, points
     total = np.add.reduceat(area, start)
     # along the rows of an array the sum goes from one to the next
-    sums = np.add.reduceat(np.ascontiguousarray(points.T), start).T
-    return pixel[start], parent[start], total, sums / total
+    sums = np.add.reduceat(np.ascontiguousarray((points * area).T), start).T
+    return pixel, parent, total, sums / total
 
 
-def _barycentric(vertices: np.ndarray, corners: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Weights of the second and third corner, (2, n), of points (3, n) on triangles: the `corners` (3, n) of each, by
-    their numbers among the `vertices` (3, m)."""
+def _barycentric(vertices: np.ndarray, corners: np.ndarray, face: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Weights of the second and third corner, (2, n), of points (3, n) on the triangles numbered `face`, shape (n,);
+    `corners`, (3, faces), are those of each triangle by their numbers among the `vertices` (3, m)."""
     first, second, third = (np.stack([axis[at] for axis in vertices]) for at in corners)
-    e1, e2, p = second - first, third - first, points - first
+    e1, e2 = second - first, third - first
     normal = _cross(e1, e2)
-    return np.stack([_dot(_cross(p, e2), normal), _dot(_cross(e1, p), normal)]) / _dot(normal, normal)
+    with np.errstate(divide="ignore", invalid="ignore"):  # of triangles without an area, which no point lies on
+        slopes = np.stack([_cross(e2, normal), _cross(normal, e1)]) / _dot(normal, normal)
+    from_first = points - first.take(face, axis=1)
+    return np.stack([_dot(from_first, slope.take(face, axis=1)) for slope in slopes])
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:

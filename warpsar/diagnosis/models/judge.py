@@ -11,6 +11,7 @@ import warp as wp
 
 from warpsar.compare.comparison import Comparison, compare
 from warpsar.compare.judgement import Judgement, judge
+from warpsar.compare.modelled import KeptAreas
 from warpsar.compare.observation import Observation
 from warpsar.diagnosis.models.refit import descend
 from warpsar.effects.registry import get
@@ -32,6 +33,7 @@ class Judge:
     device: wp.Device
     _kept: list[tuple[Scene, str, bool, list[Comparison]]] = field(default_factory=list)
     _judged: list[tuple[Sequence[Comparison], Judgement]] = field(default_factory=list)
+    _areas: KeptAreas = field(default_factory=KeptAreas)
 
     def __call__(self, scene: Scene, role: str, *, edges: bool = True) -> list[Comparison]:
         """The images of a role, in the order of the views; none where there are none. Without `edges`, for metrics
@@ -41,9 +43,12 @@ class Judge:
                 return images
         if not any(view.images and view.role == role for view in scene.views):
             return []
-        images = compare(scene, self.device, roles=(role,), edges=edges).images
+        images = self._compared(scene, role, edges)
         self._kept.append((scene, role, edges, images))
         return images
+
+    def _compared(self, scene: Scene, role: str, edges: bool = True) -> list[Comparison]:
+        return compare(scene, self.device, roles=(role,), edges=edges, kept=self._areas).images
 
     def judgement(self, images: Sequence[Comparison]) -> Judgement:
         """What is left of the images: `judge`, once for the same images."""
@@ -62,7 +67,7 @@ class Judge:
         own = _with_own_entries(scene)
         if own is None:
             return self(scene, "test", edges=edges)
-        return compare(self._fitted(scene, own, ("test",)), self.device, roles=("test",), edges=edges).images
+        return self._compared(self._fitted(scene, own, ("test",)), "test", edges)
 
     def with_open_surface(self, scene: Scene, roughness: Roughness | None) -> dict[str, list[Comparison]]:
         """Train and test views, by role, with the surface fitted to both; effects stay, but for own numbers.
@@ -72,7 +77,7 @@ class Judge:
         learned fields.
         """
         opened = self._fitted(scene, _with_own_entries(scene) or scene, ("train", "test"), roughness)
-        return {role: compare(opened, self.device, roles=(role,)).images for role in ("train", "test")}
+        return {role: self._compared(opened, role) for role in ("train", "test")}
 
     def _fitted(self, scene: Scene, own: Scene, roles: tuple[str, ...], roughness: Roughness | None = None) -> Scene:
         """The scene `own` with the test views' own numbers fitted to views of the `roles`, and the surface where train
