@@ -308,7 +308,7 @@ class Search:
         bodies seem to be missing: these wait where they promise far less.
         """
         ahead = EffectGain.of(setup, here, turn.fitted)
-        if ahead.most:
+        if ahead.most and not self._shifts(turn):
             return setup
         of_bodies, of_sensor = (max([0.0, *(one.foretold for one in asked)]) for asked in (bodies, sensor))
         least = max(ahead.least, SENSOR_BEHIND * of_bodies)
@@ -320,6 +320,10 @@ class Search:
         offered += geometry_candidates(self.scene, setup, here, bodies, price, ahead, offered)
         offered = [c for c in offered if c.name not in self._barred and self._times[c.name] < CHANCES]
         return add_the_likeliest(setup, turn, here, self.scene, offered, price)
+
+    def _shifts(self, turn: Turn) -> bool:
+        """Whether the turn has added a shift of images, which a body may have instead."""
+        return turn.added is not None and not is_geometry(turn.added) and get(turn.added).stage == "position"
 
     def _say_fits(self, names: Sequence[str]) -> None:
         if names:
