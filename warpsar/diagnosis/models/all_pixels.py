@@ -13,7 +13,7 @@ import numpy as np
 from scipy.ndimage import minimum_filter, uniform_filter
 
 from warpsar.compare.observation import TRACE, Observation, usable_pixels
-from warpsar.diagnosis.models.fit_setup import DARK_PIXELS, FitSetup
+from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.left_out import column_blocks
 from warpsar.diagnosis.models.movable import standing
 from warpsar.diagnosis.models.refit import BOUND, Fitted, refit_as
@@ -79,7 +79,7 @@ def with_shadows(setup: FitSetup, fitted: Fitted) -> tuple[FitSetup, Fitted]:
     What adds power shows in shadows above all. Its level in the light is a surface's as well, so that lit pixels alone
     leave it open. Near what is lit a blur adds power, too: with far pixels there is no need for the near ones.
     """
-    if sum(int(seen.dark.sum()) for found in setup.observations.values() for seen in found) >= DARK_PIXELS:
+    if setup.has_dark:
         return setup, fitted
     fitted.problem.modelled(fitted.x)
     observations: dict[str, list[Observation]] = {}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
+from itertools import chain
 from typing import Any, TypeVar
 
 import numpy as np
@@ -74,6 +75,11 @@ class FitSetup:
     roughness: Roughness | None = None
     mesh: Mesh | None = None
     others: OtherMeshes = field(default_factory=OtherMeshes)
+
+    @property
+    def has_dark(self) -> bool:
+        """Whether enough pixels are dark for them to say something."""
+        return sum(int(seen.dark.sum()) for seen in chain(*self.observations.values())) >= DARK_PIXELS
 
     def rays_of(self, scene: Scene) -> Rays:
         """The rays of the scene's mesh."""

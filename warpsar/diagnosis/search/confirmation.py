@@ -59,7 +59,9 @@ def confirm(
         left = [name for name in added if is_geometry(name) or name in fitted.scene.effects]
         without = {name: _without(setup, fitted, scene, name) for name in left}
         additive = [name for name in left if not is_geometry(name) and get(name).additive]
-        dark = {name for name in additive if needed(without[name], name) or _fills_shadows(fitted, without[name])}
+        dark = {
+            name for name in additive if needed(without[name], name) or _fills_shadows(setup, fitted, without[name])
+        }
         asked = {
             name: asked_of(setup, fitted, without[name], scene, name)
             if is_geometry(name)
@@ -96,9 +98,11 @@ def _without(setup: FitSetup, fitted: Fitted, declared: Scene, name: str) -> Fit
     return refit_without(setup, fitted, name)
 
 
-def _fills_shadows(fitted: Fitted, without: Fitted) -> bool:
-    """Whether shadows measure power that only the model with the effect has."""
-    return bool(once.decide(float(lit_shadows(without, far=True) and not lit_shadows(fitted, far=True))))
+def _fills_shadows(setup: FitSetup, fitted: Fitted, without: Fitted) -> bool:
+    """Whether shadows measure power that only the model with the effect has, where there are no dark pixels to ask."""
+    return not setup.has_dark and bool(
+        once.decide(float(lit_shadows(without, far=True) and not lit_shadows(fitted, far=True)))
+    )
 
 
 def _gained(fitted: Fitted, without: Fitted, name: str) -> Confirmed:
