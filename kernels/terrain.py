@@ -409,10 +409,10 @@ def map_kernel(
     clear_m: float,
     reach_m: float,
     # Out:
-    cells: CellPlaces,
+    cells_out: CellPlaces,
 ):
     row, column = wp.tid()
-    cells.pixel[row, column] = -1
+    cells_out.pixel[row, column] = -1
     down = between_posts(row, grid.fine)
     along = between_posts(column, grid.fine)
     top = int(wp.floor(down))
@@ -454,22 +454,22 @@ def map_kernel(
     at = wp.float64(pixel) - wp.float64(0.5) + (slant - begin) / (end - begin)
     if grid.backwards > 0:
         at = wp.float64(pixels - 1) - at
-    cells.pixel[row, column] = nearest * pixels + wp.clamp(int(wp.floor(at + wp.float64(0.5))), 0, pixels - 1)
-    cells.line_at[row, column] = line
-    cells.pixel_at[row, column] = at
+    cells_out.pixel[row, column] = nearest * pixels + wp.clamp(int(wp.floor(at + wp.float64(0.5))), 0, pixels - 1)
+    cells_out.line_at[row, column] = line
+    cells_out.pixel_at[row, column] = at
     a = facets.points[i]
     b = facets.points[j]
     c = facets.points[k]
     normal = wp.normalize(wp.cross(b - a, c - a))
     look = wp.normalize(u * facets.look[i] + v * facets.look[j] + w * facets.look[k])
     cosine = wp.dot(normal, look)
-    cells.incidence[row, column] = wp.degrees(wp.acos(wp.clamp(cosine, -1.0, 1.0)))
-    cells.lit[row, column] = wp.uint8(0)
+    cells_out.incidence[row, column] = wp.degrees(wp.acos(wp.clamp(cosine, -1.0, 1.0)))
+    cells_out.lit[row, column] = wp.uint8(0)
     if cosine > GRAZING:
         if sees_radar(tree, u * a + v * b + w * c, look, clear_m, reach_m):
-            cells.lit[row, column] = wp.uint8(1)
+            cells_out.lit[row, column] = wp.uint8(1)
     ab = (facets.line[j] - facets.line[i]) * (facets.slant[k] - facets.slant[i])
     ac = (facets.line[k] - facets.line[i]) * (facets.slant[j] - facets.slant[i])
-    cells.folded[row, column] = wp.uint8(0)
+    cells_out.folded[row, column] = wp.uint8(0)
     if (ab - ac) * facets.forward < wp.float64(0.0):
-        cells.folded[row, column] = wp.uint8(1)
+        cells_out.folded[row, column] = wp.uint8(1)

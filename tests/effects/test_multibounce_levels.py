@@ -10,7 +10,7 @@ import worlds
 from effect_worlds import street, with_effect
 from worlds import join, mesh_of, plate, scene_of, view
 
-from warpsar.compare.modelled import _render
+from warpsar.compare.modelled import KeptAreas, _render
 from warpsar.effects.bounces import cells, tracing
 from warpsar.effects.registry import declared
 from warpsar.kernels.effects import multibounce, multibounce_cells, multibounce_ends
@@ -714,7 +714,7 @@ def placed(bins: int, rays: float, seed: int) -> np.ndarray:
     scene = blocks()
     stage, look = Stage.of(scene, CPU), scene.views[0]
     density = rays / scene.grid.pixel_area_m2
-    made = _render(scene, stage, look, declared(scene, look), seed, density, True, bins)
+    made = _render(scene, stage, look, declared(scene, look), seed, density, True, bins, KeptAreas())
     made.forward()
     return made.layers["beta0_2_bounces_HH"].numpy().astype(float).reshape(scene.grid.shape)
 

@@ -48,10 +48,10 @@ def free_ground(mesh: Mesh, east: np.ndarray, north: np.ndarray) -> np.ndarray:
 
 
 def _height(corners: np.ndarray, east: np.ndarray, north: np.ndarray) -> np.ndarray:
-    """The height of a triangle, (3, 3) [m], over each point of a grid; NaN beside it, and for an upright one."""
+    """The height of a triangle, (3, 3) [m], over each point of a grid; NaN beside it, or if it has no area."""
     a, b, c = corners
     normal = np.cross(b - a, c - a)
-    if abs(normal[2]) < 1e-9 * np.linalg.norm(normal):
+    if abs(normal[2]) <= 1e-9 * np.linalg.norm(normal):
         return np.full((north.size, east.size), np.nan)
     x, y = np.meshgrid(east, north)
     turn = [(q[0] - p[0]) * (y - p[1]) - (x - p[0]) * (q[1] - p[1]) for p, q in ((a, b), (b, c), (c, a))]
