@@ -521,6 +521,7 @@ def outcome(row: Mapping[str, Any]) -> str:
     """
     names = right_names(row)
     readings = dict(row["alternatives"]) | {other: one for one, other in row["alternatives"]}
+    readings |= {one: other for one in SPECKLE.intersection(row["verdict"]) for other in row["rivals"]}
     false = [one for one in row["verdict"] if not is_of(one, names) and not is_of(readings.get(one, ""), names)]
     if false:
         return "false name"
@@ -533,6 +534,7 @@ def outcome(row: Mapping[str, Any]) -> str:
     return "right" if all(any(is_of(one, set(each)) for one in told) for each in wanted) else "incomplete"
 
 
+SPECKLE = {"looks", "texture"}  # whose `rivals` a row has apart
 OUTCOMES = ("all-clear", "right", "in part", "incomplete", "unexplained", "false name")
 
 
