@@ -4,68 +4,50 @@ Each is tried with nothing wrong, with a floor and with a box that are not decla
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 from learning_scenes import measured
-from worlds import BRICK, SOIL, box, ground, mesh_of, scene_of, view
+from one_body import BODY, BOX, town, views
+from worlds import SOIL
 
 from warpsar.diagnosis.command import run
 from warpsar.scene.placing import with_objects
 from warpsar.scene.scene import Scene
-from warpsar.world.objects.table import Object
-from warpsar.world.tables import Material, View
 
-SIDES = ((10, 40, "train"), (100, 45, "train"), (190, 50, "train"), (280, 40, "train"), (55, 44, "test"))
 ROUGH = {"eps_r": 8.0, "rms_height_m": 0.005}
-BODY = Material(eps_r=20.0, rms_height_m=0.0012, correlation_length_m=0.005)
-BOX = Object(
-    name="it",
-    primitive="box",
-    size_m=(4.0, 2.5, 2.5),
-    position_m=(2.0, -1.5, 0.0),
-    heading_deg=35.0,
-    material="it",
-)
 Made = Callable[[Path], Scene]
-
-
-def views(**more: Any) -> list[View]:
-    return [view(a, i, name=f"v{k}", role=role, **more) for k, (a, i, role) in enumerate(SIDES)]
-
-
-def town(soil: dict[str, Any] = SOIL, seen: list[View] | None = None, **more: Any) -> Scene:
-    """A hut on level ground that is wider than the images."""
-    mesh = mesh_of(ground=ground(30), hut=box((-7.0, 2.0, 0.0), (-4.0, 6.0, 3.0)))
-    materials = {"ground": soil, "hut": BRICK}
-    asked = {"shape": (44, 40), "spacing_m": (0.5, 0.5), **more}
-    return scene_of(mesh, seen or views(), materials=materials, **asked)
 
 
 def by_table(folder: Path) -> Scene:
     table = folder / "sigma0.csv"
     table.write_text("incidence_deg,HH\n20,-8\n30,-10\n40,-12\n50,-14\n60,-16\n", encoding="utf-8")
-    return town({"model": "facet", "sigma0": table})
+    return town(soil={"model": "facet", "sigma0": table})
 
 
 def two_frequencies(folder: Path) -> Scene:
     odd = [one.model_copy(update={"frequency_hz": 5.4e9 if k % 2 else 9.6e9}) for k, one in enumerate(views())]
-    return town(seen=odd)
+    return town(odd)
 
 
 MADE: dict[str, Made] = {
     "a table": by_table,
-    "oh": lambda _: town({"model": "oh", **ROUGH}),
-    "dubois": lambda _: town({"model": "dubois", **ROUGH}),
+    "oh": lambda _: town(soil={"model": "oh", **ROUGH}),
+    "dubois": lambda _: town(soil={"model": "dubois", **ROUGH}),
     "i2em": lambda _: town(
-        {"model": "i2em", "eps_r": 8.0, "rms_height_m": 0.003, "correlation_length_m": 0.03, "spectrum": "exponential"}
+        soil={
+            "model": "i2em",
+            "eps_r": 8.0,
+            "rms_height_m": 0.003,
+            "correlation_length_m": 0.03,
+            "spectrum": "exponential",
+        }
     ),
-    "two_scale": lambda _: town({"model": "two_scale", **SOIL}),
-    "a loss": lambda _: town({**SOIL, "eps_r": (20.0, -6.0)}),
-    "two lengths": lambda _: town({**SOIL, "spectrum": "separable", "correlation_length_m": (0.02, 0.008)}),
+    "two_scale": lambda _: town(soil={"model": "two_scale", **SOIL}),
+    "a loss": lambda _: town(soil={**SOIL, "eps_r": (20.0, -6.0)}),
+    "two lengths": lambda _: town(soil={**SOIL, "spectrum": "separable", "correlation_length_m": (0.02, 0.008)}),
     "all polarizations": lambda _: town(polarizations=("HH", "HV", "VH", "VV")),
     "oblong pixels": lambda _: town(shape=(88, 20), spacing_m=(0.25, 1.0)),
-    "spherical waves": lambda _: town(seen=views(slant_range_m=300.0)),
+    "spherical waves": lambda _: town(views(slant_range_m=300.0)),
     "two frequencies": two_frequencies,
 }
 

@@ -8,25 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 from learning_scenes import measured
-from worlds import BRICK, SOIL, box, ground, mesh_of, scene_of, view
+from one_body import SIDES, town, views
+from worlds import box, ground, mesh_of
 
 from warpsar.diagnosis.result import Diagnosed, diagnose
-from warpsar.scene.scene import Scene
 from warpsar.world.mesh import Mesh
 
-SIDES = ((10, 40, "train"), (100, 45, "train"), (190, 50, "train"), (280, 40, "train"), (55, 44, "test"))
-"""Four incidences, by which lit pixels tell a floor from a surface."""
 ONE_INCIDENCE = tuple((azimuth, 45, role) for azimuth, _, role in SIDES)
-"""By which they do not: a floor is told in shadows alone."""
-HUT = box((-7.0, 2.0, 0.0), (-4.0, 6.0, 3.0))
-
-
-def town(sides: Any = SIDES) -> Scene:
-    """Level ground wider than the images, with a hut, whose shadow is six pixels long, and no floor declared."""
-    views = [view(azimuth, incidence, name=f"v{k}", role=role) for k, (azimuth, incidence, role) in enumerate(sides)]
-    materials = {"ground": SOIL, "hut": BRICK}
-    mesh = mesh_of(ground=ground(30), hut=HUT)
-    return scene_of(mesh, views, shape=(44, 40), spacing_m=(0.5, 0.5), materials=materials)
+"""By which lit pixels do not tell a floor from a surface: it is told in shadows alone."""
 
 
 def diagnosed(
@@ -38,7 +27,7 @@ def diagnosed(
     looks: float = 16.0,
 ) -> Diagnosed:
     """The town with `declared` effects beside images that have `effects`, or another `mesh`, besides."""
-    scene = replace(town(sides), effects=declared or {})
+    scene = replace(town(views(sides)), effects=declared or {})
     truth = replace(scene, effects={**scene.effects, **effects})
     if mesh is not None:
         truth = replace(truth, mesh=mesh, materials={name: scene.materials[name] for name in mesh.materials})

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from learning_scenes import speckle
+from one_body import BODY, BOX
 from worlds import BRICK, SOIL, box, ground, mesh_of, plate, scene_of, view
 
 from warpsar.diagnosis.command import run
@@ -35,15 +36,6 @@ from warpsar.world.tables import Material, View
 CPU = devices.resolve_device("cpu")
 SIDES = ((10, 40), (100, 45), (190, 50), (280, 40))
 LOOKS = 16.0
-BODY = Material(eps_r=20.0, rms_height_m=0.0012, correlation_length_m=0.005)
-BOX = Object(
-    name="it",
-    primitive="box",
-    size_m=(4.0, 2.5, 2.5),
-    position_m=(2.0, -1.5, 0.0),
-    heading_deg=35.0,
-    material="it",
-)
 
 
 def plain(shape: int = 48, sides: Any = SIDES) -> Scene:

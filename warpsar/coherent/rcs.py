@@ -24,8 +24,6 @@ from warpsar.runtime import console, devices, threads
 from warpsar.runtime.memory import default_gib
 from warpsar.scene.scene import scene_or_file
 from warpsar.world.frame import SPEED_OF_LIGHT
-from warpsar.world.pixels import Pixels
-from warpsar.world.tables import SURFACE_KEYS
 from warpsar.world.world import World
 
 FREQUENCIES_HZ = (1e6, 1e13)
@@ -288,8 +286,9 @@ def _refuse(
         if material.layout != "uniform" and any(isinstance(getattr(material, key), str) for key in ("eps_r",)):
             problems.append(f'materials.{name}.layout: found "{material.layout}"; must be "uniform" for an RCS')
         else:
-            fields = [key for key in SURFACE_KEYS if isinstance(getattr(material, key), str | Pixels)]
-            problems += [f"materials.{name}.{key}: found a field; must be a number for an RCS" for key in fields]
+            problems += [
+                f"materials.{name}.{key}: found a field; must be a number for an RCS" for key in material.fields
+            ]
     if problems:
         raise InputError("\n  ".join([f"{scene.name}:", *problems]) if problems[1:] else problems[0])
 

@@ -436,6 +436,11 @@ class Material(_WithOwn):
             self.__dict__["learn"] = learned  # the default, as far as the model has it
         return self
 
+    @property
+    def fields(self) -> list[str]:
+        """The keys whose values are maps, or scalars of the mesh's vertices."""
+        return [key for key in SURFACE_KEYS if isinstance(getattr(self, key), str | pixels.Pixels)]
+
     @field_validator("tolerance")
     @classmethod
     def _known(cls, value: dict[SurfaceKey, Any], info: ValidationInfo) -> dict[SurfaceKey, Any]:

@@ -82,12 +82,15 @@ def with_shadows(setup: FitSetup, fitted: Fitted) -> tuple[FitSetup, Fitted]:
     if setup.has_dark:
         return setup, fitted
     fitted.problem.modelled(fitted.x)
-    observations: dict[str, list[Observation]] = {}
+    observations, more = dict[str, list[Observation]](), False
     for view in fitted.problem.views:
         for seen in setup.observations[view.view.name]:
             lit = view.render.lit(seen.polarization)
             dark = once.decide(_shadow(fitted, lit, seen) & ~seen.interior & ~seen.silent) > 0
+            more |= bool((dark & ~seen.dark).any())
             observations.setdefault(view.view.name, []).append(replace(seen, dark=seen.dark | dark))
+    if not more:
+        return setup, fitted
     made = replace(setup, observations=observations)
     return made, refit_as(replace(made, bound=fitted.problem.misfit.bound), fitted.scene)
 

@@ -14,8 +14,7 @@ from warpsar.diagnosis.proposals.places import BodyPlace
 from warpsar.diagnosis.proposals.shapes import TrialBody
 from warpsar.models import registry
 from warpsar.scene.scene import Scene
-from warpsar.world.pixels import Pixels
-from warpsar.world.tables import SURFACE_KEYS, Material
+from warpsar.world.tables import Material
 
 QUICK_STEPS, QUICK_FLAT = 10, 1.0  # of a descent that only compares
 GLANCE_STEPS = 3  # of a shape that may be given up
@@ -117,7 +116,7 @@ def _rounded(ground: TrialGround, tried: Tried) -> list[Tried]:
 def _of_known_materials(ground: TrialGround, tried: Tried) -> list[Tried]:
     """The same body, of one of the scene's own materials that are no fields."""
     bodies = []
-    for name in (name for name, one in ground.scene.materials.items() if not _fields(one)):
+    for name in (name for name, one in ground.scene.materials.items() if not one.fields):
         table = tried.standing.scene.objects[-1].model_copy(update={"material": name})
         scene = alone(ground.holding(table))
         bodies.append(Tried(tried.shape, _as_it_stands(ground, scene)))
@@ -156,14 +155,9 @@ def _materials(ground: TrialGround) -> list[Material]:
     scene, found = ground.scene, list[Material]()
     for name, material in scene.materials.items():
         update: dict[str, Any] = {"tolerance": {}, "layout": "uniform"}
-        update |= {key: float(np.median(scene.field(name, key))) for key in _fields(material)}
+        update |= {key: float(np.median(scene.field(name, key))) for key in material.fields}
         found.append(material.model_copy(update=update))
     return found
-
-
-def _fields(material: Material) -> list[str]:
-    """The values that are maps, or scalars of the mesh's vertices."""
-    return [key for key in SURFACE_KEYS if isinstance(getattr(material, key), str | Pixels)]
 
 
 def _free_name(scene: Scene) -> str:

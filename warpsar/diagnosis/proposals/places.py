@@ -48,7 +48,7 @@ def free_ground(mesh: Mesh, east: np.ndarray, north: np.ndarray) -> np.ndarray:
 
 
 def _height(corners: np.ndarray, east: np.ndarray, north: np.ndarray) -> np.ndarray:
-    """The height of a triangle, (3, 3) [m], over each point of a grid; NaN beside it, or if it has no area."""
+    """The height of a triangle, (3, 3) [m], over each point of a grid; NaN beside it, and for one that is upright."""
     a, b, c = corners
     normal = np.cross(b - a, c - a)
     if abs(normal[2]) <= 1e-9 * np.linalg.norm(normal):

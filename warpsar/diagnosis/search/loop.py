@@ -308,7 +308,7 @@ class Search:
         bodies seem to be missing: these wait where they promise far less.
         """
         ahead = EffectGain.of(setup, here, turn.fitted)
-        if ahead.most and not self._shifts(turn):
+        if ahead.most and not _shifts(turn):
             return setup
         of_bodies, of_sensor = (max([0.0, *(one.foretold for one in asked)]) for asked in (bodies, sensor))
         least = max(ahead.least, SENSOR_BEHIND * of_bodies)
@@ -320,10 +320,6 @@ class Search:
         offered += geometry_candidates(self.scene, setup, here, bodies, price, ahead, offered)
         offered = [c for c in offered if c.name not in self._barred and self._times[c.name] < CHANCES]
         return add_the_likeliest(setup, turn, here, self.scene, offered, price)
-
-    def _shifts(self, turn: Turn) -> bool:
-        """Whether the turn has added a shift of images, which a body may have instead."""
-        return turn.added is not None and not is_geometry(turn.added) and get(turn.added).stage == "position"
 
     def _say_fits(self, names: Sequence[str]) -> None:
         if names:
@@ -392,6 +388,11 @@ def needed(without: Fitted, name: str) -> bool:
     """Whether the dark pixels ask a model without an effect for it."""
     dark = Dark.of(without)
     return dark.asks and dark.answered_by(name)
+
+
+def _shifts(turn: Turn) -> bool:
+    """Whether the turn has added a shift of images, which a body may have instead."""
+    return turn.added is not None and not is_geometry(turn.added) and get(turn.added).stage == "position"
 
 
 def _beside_geometry(allowed: Sequence[Candidate], foretold: float, shifts: float, shadows: bool) -> list[Candidate]:

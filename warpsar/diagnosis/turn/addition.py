@@ -48,11 +48,12 @@ def add_the_best(
     `here` is the turn's model on `setup`, without any candidate. A parameter costs `price` of 2 ln L. `of`: which
     pixels compare the candidates.
     """
+    gained = _gains(here, of)
     for refit in refits:
-        _gained(refit.candidate, here, refit.fitted, of)
+        gained(refit.candidate, refit.fitted)
     if not dark.asks:
         ahead = sorted(refits, key=lambda refit: -_worth(refit, price))
-        refits = [*_arrived(setup, here, ahead[:CONTENDERS], price, of), *ahead[CONTENDERS:]]
+        refits = [*_arrived(setup, ahead[:CONTENDERS], price, gained, limited=of is of_lit_pixels), *ahead[CONTENDERS:]]
     able = [refit for refit in refits if dark.asks or _worth(refit, price) > 0]
     for refit in refits:
         refit.candidate.refused = "" if refit in able else TOO_LITTLE
@@ -62,7 +63,7 @@ def add_the_best(
         best = max(able, key=lambda refit: refit.fitted.whole)
         best.candidate.remark(NEEDED)
         turn.fitted = once.alone(partial(refined, setup, best.fitted, best.candidate.effect, best.tables, dark))
-        _gained(best.candidate, here, turn.fitted, of)
+        gained(best.candidate, turn.fitted)
     else:
         best = max(able, key=lambda refit: _worth(refit, price))
         turn.fitted = best.fitted
@@ -72,16 +73,17 @@ def add_the_best(
             refit.candidate.refused = f"the dark pixels need {turn.added}" if dark.asks else f"{turn.added} is likelier"
 
 
-def _arrived(setup: FitSetup, here: Fitted, ahead: Sequence[Refit], price: float, of: LogLikelihood) -> list[Refit]:
+def _arrived(
+    setup: FitSetup, ahead: Sequence[Refit], price: float, gained: Callable[[Candidate, Fitted], None], *, limited: bool
+) -> list[Refit]:
     """The fits of those `ahead` to their ends: at the same number of iterations one is nearer to its own than another.
 
-    The first one goes first. Another is given up where it cannot come up with it at its present pace, if lit pixels
-    compare them: what a fit has reached of these says nothing of others.
+    The first one goes first. Where they are `limited`, another is given up if it cannot come up with it at its present
+    pace: what a fit has reached on lit pixels says nothing of others.
     """
     found: list[Refit] = []
     for some in (ahead[:1], ahead[1:]):
-        limited = bool(found) and of is of_lit_pixels
-        limits = [_level(found[0], refit, price) if limited else -np.inf for refit in some]
+        limits = [_level(found[0], refit, price) if found and limited else -np.inf for refit in some]
         problems = [setup.problem(refit.fitted.scene) for refit in some]
         tasks = [
             partial(onward, problem, standing_at(problem, problem.x0), MOST_ITERATIONS, limit, flat=FLAT)
@@ -91,7 +93,7 @@ def _arrived(setup: FitSetup, here: Fitted, ahead: Sequence[Refit], price: float
         for refit, problem, state in zip(some, problems, states, strict=True):
             best = state.best_x, state.best_loss, state.iteration
             found.append(replace(refit, fitted=fitted_at(setup, problem, *best)))
-            _gained(refit.candidate, here, found[-1].fitted, of)
+            gained(refit.candidate, found[-1].fitted)
     return found
 
 
@@ -101,10 +103,16 @@ def _level(first: Refit, other: Refit, price: float) -> float:
     return lit + other.fitted.whole - other.fitted.log_likelihood  # dark pixels cost it what they cost it now
 
 
-def _gained(candidate: Candidate, here: Fitted, fitted: Fitted, of: LogLikelihood) -> None:
-    candidate.refit_gain = 2.0 * (of(fitted) - of(here))
-    candidate.refit_size = fitted.size - here.size
-    candidate.table = fitted.scene.effects[candidate.effect]
+def _gains(here: Fitted, of: LogLikelihood) -> Callable[[Candidate, Fitted], None]:
+    """What writes into a candidate how its fit compares with the turn's model."""
+    before = of(here)
+
+    def gained(candidate: Candidate, fitted: Fitted) -> None:
+        candidate.refit_gain = 2.0 * (of(fitted) - before)
+        candidate.refit_size = fitted.size - here.size
+        candidate.table = fitted.scene.effects[candidate.effect]
+
+    return gained
 
 
 def _worth(refit: Refit, price: float) -> float:
