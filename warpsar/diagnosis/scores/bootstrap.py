@@ -43,15 +43,18 @@ class Bootstrap:
         of the scan has one for each of its questions.
 
         A score below `BEHIND` of the best needs no side: what is added on trial comes first, and it is scored again.
+        Nor does the scan where an effect is surely beyond: it only says that something is left.
         """
         threshold = self.threshold(family_error)
         unsure = SURE * Tail.of(self.largest).value_error(-np.log(family_error))
-        ends = [self.tails[name].interval(score) for name, score in scores.items()]
-        best = max(low for low, _ in ends)
+        ends = {name: self.tails[name].interval(score) for name, score in scores.items()}
+        best = max(low for low, _ in ends.values())
         needed = threshold - unsure
         if best > threshold + unsure:
             needed = max(needed, BEHIND * best)
-        return all(low > threshold + unsure or high < needed for low, high in ends)
+        if any(low > threshold + unsure for name, (low, _) in ends.items() if name != "scan"):
+            ends.pop("scan", None)
+        return all(low > threshold + unsure or high < needed for low, high in ends.values())
 
     def with_another(self, seed: int) -> Bootstrap:
         """One more member of the family, of pixels that no other member uses: a calibrated -ln p is exponential."""
