@@ -80,8 +80,8 @@ def test_numbers_of_single_views_are_fitted_to_test_views(tmp_path: Path) -> Non
 
 @pytest.mark.full
 def test_a_gain_of_every_view_pays_on_test_views_with_their_own(tmp_path: Path) -> None:
-    """The test view is 3 dB brighter. With the gains of the others, which are not its own, it is no nearer than before:
-    that is no reason against the name. With its own it is, and nothing is left."""
+    """The test view is 3 dB brighter. With the gains of the others, which are not its own, it is as far off as before:
+    that is no reason against the name. With its own it is right, and nothing is left."""
     gains = {"v0": 1.5, "v1": -1.0, "v2": 0.5, "v3": 3.0}
     found = diagnose_scene(
         scene_of({"view_gain": {"gain_db": gains}}, tmp_path), CPU, DiagnoseOptions(draws=400, starts=0)
@@ -90,10 +90,9 @@ def test_a_gain_of_every_view_pays_on_test_views_with_their_own(tmp_path: Path) 
     assert done.own_numbers
     assert done.reasons == []
     assert (done.verdict, done.unexplained) == (["view_gain"], False)
-    after, before = done.after["test"], done.before["test"]
-    assert after is not None
-    assert before is not None
-    assert after["deviance"] >= before["deviance"]  # without a gain of its own
+    for of in (done.before["test"], done.after["test"]):
+        assert of is not None
+        assert of["deviance"] > 2.0  # without a gain of its own: 3 dB off, at 16 looks
 
 
 def refuted(true_share: float, change: float, looks: float, draws: int = 100) -> float:

@@ -161,3 +161,44 @@ def test_diagnose_of_a_model_of_which_nothing_is_fitted(tmp_path: Path) -> None:
     assert done.verdict == ["eps_gradient"]
     assert done.declared.x.size == 0
     assert done.final.scene.materials == known
+
+
+@pytest.fixture(scope="module")
+def uneven(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    """Two train views and two test views, v0 to v3, none calibrated like another."""
+    views = [
+        view.model_copy(update={"role": role})
+        for view, role in zip(
+            views_at((20.0, 40.0), (140.0, 50.0), (80.0, 45.0), (250.0, 42.0)),
+            ("train", "train", "test", "test"),
+            strict=True,
+        )
+    ]
+    truth = cube_scene(views, polarizations=("HH",))
+    return measured(truth, tmp_path_factory.mktemp("uneven"))
+
+
+@pytest.mark.parametrize(
+    ("gains", "roles", "summed"),
+    [
+        ({"v0": 0.5, "v1": -1.0}, ("train",), [["v0", "v1"]]),
+        ({"v1": -1.0}, ("train",), []),  # v0 holds the level
+        ({"v0": 0.5, "v1": -0.5, "v2": 1.0, "v3": 0.5}, ("test",), []),  # train views hold it
+        ({"v2": 1.0, "v3": 0.5}, ("test",), [["v2", "v3"]]),
+    ],
+)
+def test_gains_are_free_where_other_views_hold_the_level(
+    gains: dict[str, float], roles: tuple[str, ...], summed: list[list[str]], uneven: Scene
+) -> None:
+    """And the loss's slope to each is what the loss does, whatever mean is taken off."""
+    problem = FitProblem(declaring(uneven, view_gain={"gain_db": gains}), devices.resolve_device("cpu"), roles=roles)
+    assert list(problem.zero_sums.values()) == summed
+    x, step = problem.x0, 0.02
+    _, slope = problem.gradient(x)
+    fitted = range(problem.learned.size, x.size)
+    assert len(fitted) == len([name for name in gains if name in {view.view.name for view in problem.views}])
+    for column in fitted:
+        ends = x + np.outer((-1.0, 1.0), np.eye(x.size)[column]) * step
+        low, high = (problem.loss_at(end) for end in ends)
+        # the loss is a sum over some 1,000 pixels in float32, curved over a step of 0.06 dB
+        assert slope[column] == pytest.approx((high - low) / (2.0 * step), rel=5e-3, abs=0.05)

@@ -166,7 +166,7 @@ class SceneCoordinates:
             else:
                 tables[c.effect][c.key][c.entry] = number
         # only differences act: without the mean over the fitted views, the other views stay as they are
-        for (effect, name), views in self._zero_sums().items():
+        for (effect, name), views in self.zero_sums.items():
             mean = sum(tables[effect][name][view] for view in views) / len(views)
             for view in views:
                 tables[effect][name][view] -= mean
@@ -217,19 +217,27 @@ class SceneCoordinates:
     def zero_sum_means(self) -> np.ndarray:
         """Directions in x that change nothing by definition, shape (n, p): the mean of values that sum to zero."""
         first = self.learned.size
-        rows = np.zeros((len(self._zero_sums()), first + len(self.effect_coordinates)))
-        for row, key in zip(rows, self._zero_sums(), strict=True):
+        rows = np.zeros((len(self.zero_sums), first + len(self.effect_coordinates)))
+        for row, key in zip(rows, self.zero_sums, strict=True):
             mine = [(c.effect, c.key) == key for c in self.effect_coordinates]
             row[first:] = np.array(mine, float) / np.sqrt(sum(mine))
         return rows
 
-    def _zero_sums(self) -> dict[tuple[str, str], list[str]]:
-        """The fitted views of every per-view parameter whose values sum to zero.
+    @property
+    def zero_sums(self) -> dict[tuple[str, str], list[str]]:
+        """The fitted views of every per-view parameter whose values sum to zero, by effect and key.
 
-        A single fitted view is free: it moves against the views whose values are known.
+        Views are free where others hold the level: a single one moves against the views whose values are known, test
+        views alone move against the train views, and train views that a table names move against those it does not.
         """
         found: dict[tuple[str, str], list[str]] = {}
         for c in self.effect_coordinates:
             if c.declared.zero_sum and c.view is not None:
                 found.setdefault((c.effect, c.key), []).append(c.view)
-        return {key: views for key, views in found.items() if len(views) > 1}
+        return {key: views for key, views in found.items() if len(views) > 1 and not self._is_held(*key)}
+
+    def _is_held(self, effect: str, key: str) -> bool:
+        """Whether train views hold the level of a per-view parameter."""
+        stated, train = self._tables[effect][key], {v.name for v in self.scene.views if v.role == "train"}
+        fitted = train & {view.name for view in self.chosen}
+        return bool(fitted - set(stated)) if fitted else bool(train & set(stated))

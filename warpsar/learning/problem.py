@@ -324,8 +324,9 @@ class FitProblem(SceneCoordinates):
         }
         slope = sum(slopes.values()) if c.view is None else slopes.get(c.view, 0.0)
         if c.view is not None and c.declared.zero_sum:
-            views = self._zero_sums().get((c.effect, c.key), [])
-            slope -= sum(slopes.get(view, 0.0) for view in views) / max(len(views), 1)
+            views = self.zero_sums.get((c.effect, c.key))
+            many = len(self.scene.views if views is None else views)  # that the mean is taken over
+            slope -= sum(slopes.get(view, 0.0) for view in views or slopes) / many
         return slope * float(c.declared.slope(at))
 
     def set_to(self, x: np.ndarray) -> None:

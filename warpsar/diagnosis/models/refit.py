@@ -58,8 +58,7 @@ class Fitted:
     @property
     def size(self) -> int:
         """Parameters that count: of those that sum to zero over the views, one does not."""
-        zero_sums = {(c.effect, c.key) for c in self.problem.effect_coordinates if c.declared.zero_sum}
-        return int(self.x.size) - len(zero_sums)
+        return int(self.x.size) - len(self.problem.zero_sums)
 
     def content(self) -> dict[str, Any]:
         """Where the fit began and where it ended, for a checkpoint (JSON's types) and for other processes."""

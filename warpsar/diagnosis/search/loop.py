@@ -374,7 +374,7 @@ class Search:
         price = Evidence.of(settled.problem, settled.x).price()
         last = self.turns[-1]
         settled = resettled(setup, settled, self._effects(settled), self.scene)
-        settled = trimmed(setup, settled, self._effects(settled), price)
+        settled = trimmed(setup, settled, self._effects(settled), price, self.scene)
         settled = with_smaller(setup, settled, self._effects(settled), price)
         return confirm(setup, settled, self._added(settled), needed, price, declared=self.scene, quiet=not last.alarms)
 

@@ -40,16 +40,17 @@ def prune(setup: FitSetup, turn: Turn, earlier: Sequence[str], price: float) -> 
             turn.fitted = without
 
 
-def trimmed(setup: FitSetup, fitted: Fitted, names: Sequence[str], price: float) -> Fitted:
-    """The model without those parts of the effects `names` (`Effect.simpler`) whose loss costs less than a parameter
-    does: `price` of 2 ln L, dark pixels counted."""
+def trimmed(setup: FitSetup, fitted: Fitted, names: Sequence[str], price: float, declared: Scene) -> Fitted:
+    """The model without those parts of the effects `names` (`Effect.simpler`) whose loss costs less than their
+    parameters do: `price` of 2 ln L each, dark pixels counted. What a part has hidden may have dragged the surface, so
+    fits begin from the `declared` one, too."""
     for name in names:
         trimming = True
         while trimming:
             trimming = False
             for table in get(name).simpler(fitted.scene.effects[name]):
-                without = refit_as(setup, with_effect(fitted.scene, name, table))
-                if 2.0 * (fitted.whole - without.whole) < price:
+                without = refit_as(setup, with_effect(fitted.scene, name, table), declared)
+                if 2.0 * (fitted.whole - without.whole) < max(fitted.size - without.size, 1) * price:
                     fitted, trimming = without, True
                     break
     return fitted
