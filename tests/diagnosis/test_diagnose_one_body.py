@@ -12,6 +12,7 @@ from one_body import SIDES, town, views
 from worlds import box, ground, mesh_of
 
 from warpsar.diagnosis.result import Diagnosed, diagnose
+from warpsar.parameters.at import at
 from warpsar.world.mesh import Mesh
 
 ONE_INCIDENCE = tuple((azimuth, 45, role) for azimuth, _, role in SIDES)
@@ -75,3 +76,17 @@ def test_the_only_body_stands_elsewhere(tmp_path: Path) -> None:
     assert (found.verdict, found.unexplained) == (["object_pose"], False)
     at = found.diagnosis.objects["hut"]["position_m"]
     np.testing.assert_allclose(at, (0.8, 0.5, 0.0), atol=0.03)  # the standard deviations are 4 to 6 mm
+
+
+@pytest.mark.full
+def test_the_angle_of_a_test_view_is_its_own(tmp_path: Path) -> None:
+    """No train view can tell it, and it is no fault of the model. The hut's far corner lies 10 m from the turn's axis."""
+    truth = town(views())
+    given = measured(truth, tmp_path, looks=16.0, seed=3)
+    azimuth = given.parameters["views.v4.azimuth_deg"]
+    found = diagnose(at(given, {azimuth: np.array(59.0)}), device="cpu")
+    assert (found.verdict, found.unexplained) == (["view_angles"], False)
+    assert found.diagnosis.of_test_views == ["view_angles v4"]
+    about = found.diagnosis.sensor["v4"]["azimuth_deg"]
+    assert about["declared"] == 59.0
+    assert about["found"] == pytest.approx(55.0, abs=0.3)  # 5 cm at the corner, a tenth of a pixel

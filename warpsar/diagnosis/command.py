@@ -103,6 +103,8 @@ def run(
         for role, one in done.verdicts.items():
             if not one.wrong:
                 console.say(f"{role} views: {one.words}")
+        for name in done.diagnosis.of_test_views:
+            console.say(f"{name}: a test view, whose own number was fitted to it alone")
         if done.open_surface:
             console.say(done.open_surface)
         for doubt in done.doubts:

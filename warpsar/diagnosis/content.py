@@ -43,6 +43,7 @@ def content_of(
         "doubts": done.doubts,
         "judgement": {role: one.content() for role, one in done.verdicts.items()},
         "own_numbers_fitted_to_test_views": done.own_numbers,
+        "of_test_views": diagnosis.of_test_views,
         "foretold_test_views": None if done.foretold is None else done.foretold.content(),
         "speckle": asdict(done.speckle),
         "not_asked": diagnosis.not_asked,

@@ -216,7 +216,8 @@ class Diagnosis:
     became of those that were changed, by name; `sensor`: the same of angles and spacings. `withdrawn`: effects that
     held on the train views, but that test views speak against. `not_asked`: what a limit of time left out, in
     words; empty where the search came to its end. `on_trial`: what was added and, for want of time, never asked beside
-    the others. `judge` compares models with all images."""
+    the others. `of_test_views`: what single test views hold by themselves, which no train view can tell. `judge`
+    compares models with all images."""
 
     scene: Scene
     declared: Fitted
@@ -233,6 +234,7 @@ class Diagnosis:
     sensor: dict[str, dict[str, Any]] = field(default_factory=dict)
     not_asked: list[str] = field(default_factory=list)
     on_trial: list[str] = field(default_factory=list)
+    of_test_views: list[str] = field(default_factory=list)
 
     def __repr__(self) -> str:
         return f"<Diagnosis: {len(self.turns)} turns, held {', '.join(self.held) or 'nothing'}>"
@@ -246,7 +248,8 @@ class Diagnosis:
     def held(self) -> list[str]:
         """What was added and holds, in order: effects, and changes of geometry with their objects."""
         final = {*self.final.scene.effects, *changes(self.scene, self.final.scene)}
-        return list(dict.fromkeys(turn.added for turn in self.turns if turn.added in final))
+        added = dict.fromkeys(turn.added for turn in self.turns if turn.added in final)
+        return [*added, *self.of_test_views]
 
     @property
     def verdict(self) -> list[str]:

@@ -21,13 +21,14 @@ from warpsar.diagnosis.geometry.registry import changes, is_geometry, of
 from warpsar.diagnosis.left.place import ResidualPlace, place
 from warpsar.diagnosis.left.summary import Left, left_of
 from warpsar.diagnosis.models.fit_setup import FitSetup
-from warpsar.diagnosis.models.judge import under, with_speckle
+from warpsar.diagnosis.models.judge import Judge, under, with_speckle
 from warpsar.diagnosis.models.left_out import LARGEST_DIFFERENCE, clipped
 from warpsar.diagnosis.models.names import kind_of, object_of
 from warpsar.diagnosis.models.refit import Fitted, refit_without
 from warpsar.diagnosis.role_metrics import RoleMetrics, role_metrics
 from warpsar.diagnosis.search.geometry_confirmation import taken_back
 from warpsar.diagnosis.search.procedure import diagnose_scene
+from warpsar.diagnosis.single_views import may_be_angles, with_own_angles
 from warpsar.effects.registry import get
 from warpsar.errors import refuse_kind
 from warpsar.learning.trust import doubts, outside_domains
@@ -183,8 +184,13 @@ def judged(diagnosis: Diagnosis) -> Diagnosed:
     if final.views != fitted.views:
         diagnosis = replace(diagnosis, final=replace(diagnosis.final, scene=final))
     own = judge_of.with_own_numbers(fitted)
-    tested = {"train": judge_of(fitted, "train"), "test": own}
-    verdicts = {role: judge_of.judgement(under(images, final)) for role, images in tested.items() if images}
+    verdicts = _verdicts(judge_of, fitted, final, own)
+    if may_be_angles(verdicts) and own is judge_of(fitted, "test"):
+        diagnosis = with_own_angles(diagnosis, final)
+        if diagnosis.of_test_views:
+            fitted = diagnosis.final.scene
+            own, final = judge_of(fitted, "test"), _with_views(fitted, final)
+            verdicts = _verdicts(judge_of, fitted, final, own)
     foretold = None
     if _may_be_open(verdicts):
         images = judge_of.with_open_surface(final, diagnosis.setup.roughness)
@@ -216,6 +222,12 @@ def judged(diagnosis: Diagnosis) -> Diagnosed:
     return Diagnosed(
         diagnosis, models, speckle, verdicts, reasons, own_numbers, foretold, where, left, alternatives, doubted, little
     )
+
+
+def _verdicts(judge_of: Judge, fitted: Scene, final: Scene, test: Sequence[Comparison]) -> dict[str, Judgement]:
+    """The judgement of each role on the fitted scene's images, under the looks and texture of the `final` one."""
+    tested = {"train": judge_of(fitted, "train"), "test": test}
+    return {role: judge_of.judgement(under(images, final)) for role, images in tested.items() if images}
 
 
 def _train_cost(before: Sequence[Comparison], after: Sequence[Comparison]) -> float:

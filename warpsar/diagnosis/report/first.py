@@ -106,7 +106,8 @@ def _meanings(done: Diagnosed) -> list[str]:
     meanings = []
     for name in held:
         kind, of = kind_of(name), object_of(name)
-        meanings.append(f"{kind}{f' of {of}' if of else ''}: {summary_of(kind)}")
+        alone = ", fitted to this test view alone" if name in done.diagnosis.of_test_views else ""
+        meanings.append(f"{kind}{f' of {of}{alone}' if of else ''}: {summary_of(kind)}")
     speckle = f"{done.speckle.words[0].upper()}{done.speckle.words[1:]}."
     return [*([f"{'; '.join(meanings)}."] if meanings else []), *([speckle] if done.speckle.names else [])]
 

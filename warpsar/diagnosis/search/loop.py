@@ -85,6 +85,7 @@ class Search:
         self._stage = 0
         self._asked: set[str] = set()  # of the model's additions: those that hold beside all the others
         self._posed: FoundPoses | None = None  # changed objects of the final model
+        self._scores: Turn | None = None  # the turn that was scored last
 
     def run(self, left_s: float | None) -> None:
         """Search to the end, or until the time that is left is over: then what was found so far stands."""
@@ -105,7 +106,7 @@ class Search:
     def _ended_early(self) -> None:
         """Say what was not asked. A run whose first scores did not come gets them now: nothing can be said without."""
         if not self.turns:
-            self.turns.append(self._scored()[0])
+            self.turns.append(replace(self._scores or self._scored()[0], added=None, fitted=None, dropped=[]))
         last = self.turns[-1]
         waiting = [
             c.effect
@@ -277,6 +278,7 @@ class Search:
         turn, templates = score_effects(
             self.scene, setup, rays, here, evidence, self.options, len(self.turns), self._progress
         )
+        self._scores = turn
         return turn, setup, here, evidence, templates
 
     @property
