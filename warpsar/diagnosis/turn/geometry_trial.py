@@ -81,7 +81,7 @@ def with_all_anew(setup: FitSetup, turn: Turn, declared: Scene) -> FitSetup:
     has pulled aside. Left there, it makes other effects and angles seem likely. Returns the setup of the pixels that
     the model is fitted on.
     """
-    if turn.fitted is None or not set(changes(declared, turn.fitted.scene)) - {turn.added}:
+    if turn.fitted is None or not changes(declared, turn.base.scene):
         return setup
     scene, found = posed_anew(setup, turn.fitted, declared)
     if found is None:

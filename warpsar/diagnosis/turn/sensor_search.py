@@ -13,7 +13,7 @@ import numpy as np
 
 from warpsar.diagnosis.geometry.base.change import GeometryCandidate, Hypothesis
 from warpsar.diagnosis.geometry.base.sensor import SensorChange
-from warpsar.diagnosis.geometry.registry import changes, get, sensor_changes
+from warpsar.diagnosis.geometry.registry import get, sensor_changes
 from warpsar.diagnosis.models.all_pixels import Exact
 from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.refit import BOUND, Fitted
@@ -51,10 +51,13 @@ def worth_a_fit(screened: Sequence[Hypothesis], price: float, least: float) -> l
 
 
 def hypotheses(declared: Scene, here: Fitted) -> list[Hypothesis]:
-    """Every hypothesis that the model has not taken yet: angles of each view and of all, and both spacings."""
-    views, taken = _views(here), changes(declared, here.scene)
+    """Every hypothesis that the model has not taken yet: angles of each view and of all, and both spacings. A view whose
+    azimuth was taken may have another incidence, too."""
+    views = _views(here)
     asked = [one for change in sensor_changes() for one in change.hypotheses(declared, here.scene, views)]
-    return [one for one in asked if one.name not in taken]
+    changed = [change.changed(declared, here.scene) for change in sensor_changes()]
+    taken = {name for each in changed for names in each.values() for name in names}
+    return [one for one in asked if not taken & set(one.parameters)]
 
 
 def screening(declared: Scene, setup: FitSetup, here: Fitted) -> tuple[list[Hypothesis], float]:
