@@ -15,7 +15,7 @@ from warpsar.compare.prediction import Agreement, PredictedImage, advantage, pre
 from warpsar.diagnosis.held_out.arcs import folds
 from warpsar.diagnosis.held_out.azimuths import counted
 from warpsar.diagnosis.held_out.box import as_box
-from warpsar.diagnosis.held_out.geometry import TURNED, WIDE, likeliest, minimum, numbers, profiled
+from warpsar.diagnosis.held_out.geometry import TURNED, WIDE, beyond_mesh, likeliest, minimum, numbers, profiled
 from warpsar.diagnosis.held_out.model import TrainViews, scene_content, scene_of
 from warpsar.diagnosis.held_out.report import judgement, sentence
 from warpsar.diagnosis.held_out.search import (
@@ -506,3 +506,29 @@ def test_how_azimuths_are_counted_is_found(eighteen: Scene, stated: Callable[[fl
     assert search.held == [label]
     found = np.array([view.azimuth_deg for view in search.start.views])
     np.testing.assert_allclose((found - [view.azimuth_deg for view in eighteen.views]) % 180.0, 0.0, atol=1e-9)
+
+
+def test_detail_beyond_the_mesh_ends_a_body(tmp_path: Path) -> None:
+    """Two ends, each known to half of a cell of 0.4 m: 0.283 m of a length, a share of 0.283 / 5 of a mesh of 5 m."""
+    (tmp_path / "scene.toml").write_text(SCENE + views(6))
+    text = (tmp_path / "scene.toml").read_text()
+    text += "[effects.point_spread]\nrange_fwhm_m = 0.3\nazimuth_fwhm_m = 0.4\nfixed = true\n"
+    detailed = text + "[effects.unresolved_detail]\nlevel = 0.01\nspread_m = 0.5\n"
+    corners = [(a, b, c) for a in (-1.25, 1.25) for b in (-2.5, 2.5) for c in (0.0, 2.0)]
+    (tmp_path / "body.obj").write_text(
+        "".join(f"v {a} {b} {c}\n" for a, b, c in corners) + "f 1 3 7\nf 1 7 5\nf 2 6 8\nf 2 8 4\nf 1 2 3\n"
+    )
+    meshed = detailed.replace(
+        'primitive = "box"\nsize_m = [5.0, 2.5, 2.0]', 'mesh = "body.obj"\nscale = [0.5, 1.0, 1.0]'
+    )
+    meshed = meshed.replace('["size"]\ntolerance = { size_m', '["scale"]\ntolerance = { scale')
+    found = {}
+    for name, each in {"plain": text, "detailed": detailed, "meshed": meshed}.items():
+        (tmp_path / f"{name}.toml").write_text(each)
+        scene = Scene.load(tmp_path / f"{name}.toml")
+        found[name] = {one.label: beyond_mesh(one, scene) for one in numbers(scene)}
+    end_m = 0.4 * np.sqrt(0.5)
+    assert set(found["plain"].values()) == {0.0}
+    assert found["detailed"] == pytest.approx({"body.height": 0.0, "body.width": end_m, "body.length": end_m})
+    shares = {"body.upward": 0.0, "body.across": end_m / 2.5, "body.along": end_m / 5.0}
+    assert found["meshed"] == pytest.approx(shares)
