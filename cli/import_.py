@@ -115,6 +115,13 @@ TAPERS = ("none", "hann", "taylor")
     metavar="FROM TO",
     help="With --table: views in this sector of azimuth [deg] are test views. Can be repeated.",
 )
+@click.option(
+    "--azimuths",
+    type=click.Choice(("clockwise", "counterclockwise")),
+    default="clockwise",
+    show_default=True,
+    help="With --table: how its azimuths run, seen from above.",
+)
 @options.device
 def command(
     sources: tuple[Path, ...],
@@ -138,6 +145,7 @@ def command(
     role: str | None,
     train: int | None,
     hold_back: tuple[tuple[float, float], ...],
+    azimuths: str,
     device: str | None,
 ) -> None:
     """Bring the measurement SOURCE onto the grid of a view, and declare it in the scene file.
@@ -167,8 +175,8 @@ def command(
 
     if (view is None) == (table is None):
         raise click.UsageError("one of --view and --table is needed")
-    if table is None and (train is not None or hold_back):
-        raise click.UsageError("--train and --hold-back: only with --table")
+    if table is None and (train is not None or hold_back or azimuths != "clockwise"):
+        raise click.UsageError("--train, --hold-back and --azimuths: only with --table")
     if role is not None and (train is not None or hold_back):
         raise click.UsageError("--role, and --train or --hold-back, contradict each other")
     if amplitude and quantity == "power":
@@ -196,6 +204,7 @@ def command(
             role=role,
             train=train,
             held_back=hold_back,
+            azimuths=azimuths,  # type: ignore[arg-type]
         )
         for message in chips.messages:
             console.say(f"note: {message}")

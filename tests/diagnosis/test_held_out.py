@@ -1,6 +1,7 @@
 """`warpsar diagnose --folds`: what stays is what views say that were left out."""
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,9 +13,10 @@ from warpsar import Scene, simulate
 from warpsar.cli.main import main
 from warpsar.compare.prediction import Agreement, PredictedImage, advantage, predictions, summaries
 from warpsar.diagnosis.held_out.arcs import folds
+from warpsar.diagnosis.held_out.azimuths import counted
 from warpsar.diagnosis.held_out.box import as_box
-from warpsar.diagnosis.held_out.geometry import TURNED, WIDE, likeliest, minimum, numbers, profiled
-from warpsar.diagnosis.held_out.model import scene_content, scene_of
+from warpsar.diagnosis.held_out.geometry import TURNED, WIDE, beyond_mesh, likeliest, minimum, numbers, profiled
+from warpsar.diagnosis.held_out.model import TrainViews, scene_content, scene_of
 from warpsar.diagnosis.held_out.report import judgement, sentence
 from warpsar.diagnosis.held_out.search import (
     BEATEN,
@@ -85,11 +87,11 @@ def views(count: int, role: str = "train", first_deg: float = 0.0) -> str:
     )
 
 
-def measured(folder: Path, *, height_m: float = 2.0, floor: float = 0.004) -> Scene:
-    """Twelve train views and six test views of a box with a noise floor, each shifted by up to three pixels, of one
+def measured(folder: Path, *, height_m: float = 2.0, floor: float = 0.004, count: int = 12) -> Scene:
+    """`count` train views and six test views of a box with a noise floor, each shifted by up to three pixels, of one
     look."""
     path = folder / "scene.toml"
-    path.write_text(SCENE + views(12) + views(6, "test", 7.0))
+    path.write_text(SCENE + views(count) + views(6, "test", 7.0))
     declared = Scene.load(path)
     (folder / "true.toml").write_text(
         path.read_text().replace("2.5, 2.0]", f"2.5, {height_m}]") + f"[effects.noise_floor]\nlevel = {floor}\n"
@@ -474,3 +476,59 @@ def test_measured_chips_come_with_roles_and_rivals(tmp_path: Path, measured_data
     one = advantage(found)
     assert one is not None
     assert not one.ahead
+
+
+# ---- azimuths of a table of another hand
+
+
+@pytest.fixture(scope="module")
+def eighteen(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    return measured(tmp_path_factory.mktemp("eighteen"), count=18)
+
+
+def test_azimuths_as_stated_are_left_alone(eighteen: Scene) -> None:
+    assert counted(TrainViews(eighteen, devices.resolve_device("cpu"))) is None
+
+
+@pytest.mark.parametrize(
+    ("stated", "label"),
+    [
+        (lambda azimuth: -azimuth, "azimuths counted counterclockwise from the front"),
+        (lambda azimuth: azimuth - 90.0, "azimuths counted clockwise from the right side"),
+        (lambda azimuth: 90.0 - azimuth, "azimuths counted counterclockwise from the right side"),
+    ],
+)
+def test_how_azimuths_are_counted_is_found(eighteen: Scene, stated: Callable[[float], float], label: str) -> None:
+    """A box looks the same from behind, so only one of two opposite sides is asked of it: the first that does as well.
+    Counted anew, all views have the azimuths that they were made at."""
+    views = [view.model_copy(update={"azimuth_deg": stated(view.azimuth_deg) % 360.0}) for view in eighteen.views]
+    search = FoldSearch(replace(eighteen, views=views), devices.resolve_device("cpu"), 3, lambda: None)
+    assert search.held == [label]
+    found = np.array([view.azimuth_deg for view in search.start.views])
+    np.testing.assert_allclose((found - [view.azimuth_deg for view in eighteen.views]) % 180.0, 0.0, atol=1e-9)
+
+
+def test_detail_beyond_the_mesh_ends_a_body(tmp_path: Path) -> None:
+    """Two ends, each known to half of a cell of 0.4 m: 0.283 m of a length, a share of 0.283 / 5 of a mesh of 5 m."""
+    (tmp_path / "scene.toml").write_text(SCENE + views(6))
+    text = (tmp_path / "scene.toml").read_text()
+    text += "[effects.point_spread]\nrange_fwhm_m = 0.3\nazimuth_fwhm_m = 0.4\nfixed = true\n"
+    detailed = text + "[effects.unresolved_detail]\nlevel = 0.01\nspread_m = 0.5\n"
+    corners = [(a, b, c) for a in (-1.25, 1.25) for b in (-2.5, 2.5) for c in (0.0, 2.0)]
+    (tmp_path / "body.obj").write_text(
+        "".join(f"v {a} {b} {c}\n" for a, b, c in corners) + "f 1 3 7\nf 1 7 5\nf 2 6 8\nf 2 8 4\nf 1 2 3\n"
+    )
+    meshed = detailed.replace(
+        'primitive = "box"\nsize_m = [5.0, 2.5, 2.0]', 'mesh = "body.obj"\nscale = [0.5, 1.0, 1.0]'
+    )
+    meshed = meshed.replace('["size"]\ntolerance = { size_m', '["scale"]\ntolerance = { scale')
+    found = {}
+    for name, each in {"plain": text, "detailed": detailed, "meshed": meshed}.items():
+        (tmp_path / f"{name}.toml").write_text(each)
+        scene = Scene.load(tmp_path / f"{name}.toml")
+        found[name] = {one.label: beyond_mesh(one, scene) for one in numbers(scene)}
+    end_m = 0.4 * np.sqrt(0.5)
+    assert set(found["plain"].values()) == {0.0}
+    assert found["detailed"] == pytest.approx({"body.height": 0.0, "body.width": end_m, "body.length": end_m})
+    shares = {"body.upward": 0.0, "body.across": end_m / 2.5, "body.along": end_m / 5.0}
+    assert found["meshed"] == pytest.approx(shares)

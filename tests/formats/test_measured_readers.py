@@ -109,6 +109,14 @@ def jpeg(folder: Path) -> Path:
     return path
 
 
+def png(folder: Path) -> Path:
+    from PIL import Image
+
+    path = folder / "made.png"
+    Image.fromarray(np.random.default_rng(0).integers(0, 256, (20, 24), np.uint8)).save(path)
+    return path
+
+
 def sentinel1(folder: Path) -> Path:
     from product_files import write_safe
 
@@ -139,6 +147,7 @@ MADE: dict[str, Callable[[Path], Path]] = {
     "exr": exr,
     "tiff": tiff,
     "jpeg": jpeg,
+    "png": png,
     "sentinel1": sentinel1,
     "gamma": gamma,
     "capella": capella,

@@ -8,8 +8,8 @@ from measured_files import write_phoenix
 from PIL import Image
 
 from warpsar.errors import InputError
-from warpsar.formats import jpeg
-from warpsar.measured.chips import assigned, import_chips
+from warpsar.formats import jpeg, registry
+from warpsar.measured.chips import assigned, import_chips, read_views
 from warpsar.measured.importer import import_measured
 from warpsar.scene.scene import Scene
 from warpsar.world.tables import View
@@ -92,6 +92,7 @@ BAD_TABLES = [
     ("HB1,north,15.0\n", "line 2 (HB1): azimuth_deg: found 'north'"),
     ("HB1,nan,15.0\n", "azimuth_deg: found 'nan'"),
     ("HB7,10.0,15.0\n", "no line of the table is called HB1"),
+    ("HB1,0.2,0.26\nHB2,3.5,0.3\nHB3,6.1,0.3\n", "the angles seem to be radians"),
 ]
 
 
@@ -112,11 +113,84 @@ def test_a_table_without_angles_is_refused(folder: Path) -> None:
         import_chips([folder / "HB1.jpeg"], folder / "scene.toml", folder / "views.csv", quantity="amplitude")
 
 
+TABLES = [
+    ("chip,azimuth_deg,depression_deg\n{0},{1},15\n", "HB1", 10.5),
+    ("Chip; Azimuth ;Depression\n{0};{1};15\n\n", "HB1.jpeg", 10.5),
+    ("filename\tazimuth\tincidence\n{0}\t{1}\t75\n", "chips/HB1.JPG", 370.5),
+    ("depression,image,azimuth\n15, {0}, {1}\n", "C:\\chips\\HB1.png", -709.5),
+]
+
+
+@pytest.mark.parametrize(("text", "chip", "azimuth_deg"), TABLES)
+def test_tables_of_other_hands(folder: Path, text: str, chip: str, azimuth_deg: float) -> None:
+    (folder / "views.csv").write_text(text.format(chip, azimuth_deg))
+    (view,) = read_views(folder / "views.csv").values()
+    assert (view.name, view.azimuth_deg % 360.0, view.incidence_deg) == ("HB1", 10.5, 75.0)
+    (view,) = read_views(folder / "views.csv", "counterclockwise").values()
+    assert view.azimuth_deg % 360.0 == 349.5
+
+
+PICTURES = {
+    "HB1.png": lambda grey: Image.fromarray(grey),
+    "grey in colour.png": lambda grey: Image.fromarray(grey).convert("RGBA"),
+    "HB1.tif": lambda grey: Image.fromarray(grey),
+    "16 bits.tif": lambda grey: Image.fromarray(grey.astype(np.uint16) * 257),
+    "16 bits.png": lambda grey: Image.fromarray(grey.astype(np.uint16) * 257),
+}
+
+
+@pytest.mark.parametrize("name", PICTURES)
+def test_pictures_of_levels_are_clipped_at_their_top(tmp_path: Path, name: str) -> None:
+    grey = np.random.default_rng(0).integers(0, 256, (12, 10), np.uint8)
+    PICTURES[name](grey).save(tmp_path / name)
+    top = 65535.0 if name.startswith("16") else 255.0
+    chip = registry.read([tmp_path / name], quantity="amplitude")
+    assert chip.top == top
+    np.testing.assert_array_equal(np.asarray(chip.samples), grey * (top / 255.0))
+
+
+def test_an_array_of_levels_is_clipped_at_its_top(tmp_path: Path) -> None:
+    grey = np.random.default_rng(0).integers(0, 256, (12, 10), np.uint8)
+    np.save(tmp_path / "grey.npy", grey)
+    chip = registry.read([tmp_path / "grey.npy"], quantity="amplitude")
+    assert chip.top == 255.0
+    np.testing.assert_array_equal(np.asarray(chip.samples), grey)
+
+
+def test_a_grey_jpeg_may_be_stored_with_colours(tmp_path: Path) -> None:
+    """Its plane of brightness is coded as the only plane of a grey one: by the same table the levels are the same, but
+    for the rounding to red, green and blue and back."""
+    grey = np.random.default_rng(0).integers(0, 256, (16, 24), np.uint8)
+    for name, picture in (("a.jpg", Image.fromarray(grey)), ("b.jpg", Image.fromarray(grey).convert("RGB"))):
+        picture.save(tmp_path / name, quality=90)
+    one, other = (jpeg.levels(tmp_path / name)[0] for name in ("a.jpg", "b.jpg"))
+    np.testing.assert_allclose(one, other, atol=1.0)
+
+
+def test_pixels_that_are_stated_too_large_are_said(folder: Path) -> None:
+    path, table = folder / "scene.toml", folder / "views.csv"
+    done = import_chips([folder / "HB1.jpeg"], path, table, quantity="amplitude", spacing_m=(20.0, 20.0))
+    assert any("stated as 20 x 20 m, and image.spacing_m is 0.2 x 0.2" in one for one in done.messages)
+
+
+@pytest.mark.parametrize("units", ["m", "mm"])
+def test_a_body_in_another_unit_is_said(folder: Path, units: str) -> None:
+    """The hut is 2 m across in metres."""
+    (folder / "hut.obj").write_text("v -1 -1 0\nv 1 -1 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 2 3 4\nf 3 1 4\n")
+    freed = f'units = "{units}"\nscale = 1.0\nlearn = ["scale"]\ntolerance = {{ scale = "10 %" }}\n'
+    path = folder / "scene.toml"
+    path.write_text(SCENE + HUT + freed)
+    done = import_chips([folder / "HB1.jpeg"], path, folder / "views.csv", quantity="amplitude", spacing_m=SPACING)
+    said = [one for one in done.messages if "check units" in one]
+    assert len(said) == (units == "mm")
+    assert all("0.002 m across in units of 'mm', and an image shows 6.4 m" in one for one in said)
+
+
 @pytest.mark.parametrize(("content", "message"), [(b"\xff\xd8\xff", "cannot be read as a JPEG"), (None, "in colour")])
 def test_bad_pictures_are_refused(folder: Path, content: bytes | None, message: str) -> None:
     path = folder / "HB1.jpeg"
     if content is None:
-        Image.new("RGB", (48, 48)).save(path)
+        Image.new("RGB", (48, 48), (200, 40, 40)).save(path)
     else:
         path.write_bytes(content)
     with pytest.raises(InputError, match=message):

@@ -81,6 +81,13 @@ def test_simulates_as_from_a_file(tmp_path: Path) -> None:
     np.testing.assert_allclose(one, other, rtol=1e-5)
 
 
+def test_views_that_were_turned_together_are_saved_within_a_turn(tmp_path: Path) -> None:
+    made = scene_of(lawn_and_shed())
+    views = [view.model_copy(update={"azimuth_deg": 358.0 + 3.25}) for view in made.views]
+    replace(made, views=views).save(tmp_path / "site.toml")
+    assert [view.azimuth_deg for view in Scene.load(tmp_path / "site.toml").views] == [1.25] * len(views)
+
+
 def test_learns_evaluates_and_saves(scene: Scene, tmp_path: Path) -> None:
     learned = warpsar.learn(scene, device="cpu", options=warpsar.LearnOptions(starts=1), folder=tmp_path)
     found = learned.scene.materials["lawn"].eps_r

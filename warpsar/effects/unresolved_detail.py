@@ -47,6 +47,7 @@ class UnresolvedDetail(Effect):
     name = "unresolved_detail"
     stage = "path"
     order = 30
+    beyond_mesh = True
     needs_all_hits = True  # it spreads power from a band of the image into the next
     summary = "returns by detail that the mesh does not have"
     example: ClassVar[dict[str, Any]] = {"level": 0.03, "spread_m": 3.0}

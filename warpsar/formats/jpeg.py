@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from io import BytesIO
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,8 +15,12 @@ from warpsar.formats.base.format import Format, Stated
 from warpsar.formats.base.pictures import ASKS, SLANT_PLANE, in_slant_plane
 from warpsar.io.images import LARGEST_IMAGE
 
+if TYPE_CHECKING:
+    from PIL.JpegImagePlugin import JpegImageFile
+
 TOP = 255.0
 """The largest level: a pixel that has it measured at least as much."""
+GREY = 1.0  # levels of colour that turning planes into whole numbers of red, green and blue, and back, may leave
 _MOST_PER_BYTE = 2048  # pixels: a block of 64 takes half a bit at the least
 _ERRORS = (OSError, SyntaxError, ValueError, EOFError, LookupError, struct.error)
 
@@ -43,12 +48,21 @@ def levels(path: Path) -> tuple[np.ndarray, float]:
             raise InputError(
                 f"{path}: found {picture.height} x {picture.width} pixels; must be 1 to {most}, by its size"
             )
-        if picture.mode != "L":
-            raise InputError(f"{path}: found a picture in colour ({picture.mode}); must be grey, one level per pixel")
         steps = np.array(picture.quantization[0], float)
-        return np.asarray(picture, np.float32), float(np.sqrt((steps**2).mean() / 12.0))
+        return _grey(path, picture), float(np.sqrt((steps**2).mean() / 12.0))
     except _ERRORS as error:
         raise InputError(f"{path}: cannot be read as a JPEG ({error})") from error
+
+
+def _grey(path: Path, picture: JpegImageFile) -> np.ndarray:
+    """Its levels, of shape (rows, cols). A grey picture may have two planes of colour, which then are even."""
+    if picture.mode == "RGB":
+        planes = np.asarray(picture.convert("YCbCr"), np.float32)
+        if np.abs(planes[..., 1:] - 128.0).max() <= GREY:
+            return planes[..., 0]
+    if picture.mode != "L":
+        raise InputError(f"{path}: found a picture in colour ({picture.mode}); must be grey, one level per pixel")
+    return np.asarray(picture, np.float32)
 
 
 FORMAT = Format(

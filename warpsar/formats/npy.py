@@ -9,14 +9,15 @@ import numpy as np
 from warpsar.formats.base.data import ImageChip
 from warpsar.formats.base.format import Format, Stated
 from warpsar.formats.base.pictures import ASKS, SLANT_PLANE, in_slant_plane
-from warpsar.io.images import read_channel, read_npy
+from warpsar.io.images import read_levels, read_npy
 
 
 def read(path: Path, stated: Stated) -> ImageChip:
-    """Complex numbers as complex64; of real ones the only channel."""
+    """Complex numbers as complex64; of real ones the only channel; levels of 8 or 16 bits are clipped at their top."""
     array = read_npy(path)
     if array.dtype.kind != "c":
-        return in_slant_plane(path, read_channel(path, stated.polarization), stated)
+        samples, top = read_levels(path, stated.polarization)
+        return in_slant_plane(path, samples, stated, top=top)
     with np.errstate(all="ignore"):
         return in_slant_plane(path, np.array(array, np.complex64), stated)
 

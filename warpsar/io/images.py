@@ -28,6 +28,7 @@ LARGEST_IMAGE = 2**28
 _MOST_PER_BYTE = 8 * 1032  # pixels: deflate packs 1032 to 1, and a mask's pixel may be a bit
 _OIIO_FORMATS = {b"v/1\x01": "openexr", **dict.fromkeys(tiff.MAGIC, "tiff")}
 _PNG = b"\x89PNG"
+_TOPS = {"uint8": 255.0, "uint16": 65535.0}  # the largest levels of whole numbers
 
 
 @contextmanager
@@ -57,6 +58,8 @@ class _Picture:
     """The type of its numbers where it is not a floating-point one."""
     pixels: Callable[[int, int], NDArray[Any]]
     """Channels from the first number up to the second, shape (rows, cols, channels)."""
+    top: float | None = None
+    """The largest level of whole numbers without a sign, of 8 or 16 bits; None for other numbers."""
 
 
 @contextmanager
@@ -121,13 +124,14 @@ def _open_oiio(path: Path, kind: str, shape: tuple[int, int] | None) -> Iterator
         def pixels(first: int, end: int) -> NDArray[Any]:
             _check_size(path, spec.height * (end - first), spec.width, None)
             check_pixels()
-            found = source.read_image(0, 0, first, end, oiio.FLOAT)
+            found = source.read_image(0, 0, first, end, oiio.FLOAT if top is None else spec.format)
             if found is None:
                 raise InputError(f"{path}: broken or truncated ({_reason(source.geterror)})")
             return np.asarray(found, np.float32).reshape(spec.height, spec.width, end - first)
 
         floating = spec.format.basetype in (oiio.HALF, oiio.FLOAT, oiio.DOUBLE)
-        yield _Picture(names, None if floating else str(spec.format), pixels)
+        top = _TOPS.get(str(spec.format))
+        yield _Picture(names, None if floating else str(spec.format), pixels, top)
     finally:
         source.close()
 
@@ -164,7 +168,8 @@ def _open_png(path: Path, shape: tuple[int, int] | None) -> Iterator[_Picture]:
             return np.atleast_3d(found)[:, :, first:end]
 
         names = ("R", "G", "B", "A") if picture.mode in ("P", "PA") else picture.getbands()
-        yield _Picture(tuple(names), "uint", pixels)
+        top = {"1": 1.0, "I": _TOPS["uint16"], "I;16": _TOPS["uint16"]}.get(picture.mode, _TOPS["uint8"])
+        yield _Picture(tuple(names), "uint", pixels, top)
 
 
 # What Pillow raises on broken files, by its documentation (OSError, SyntaxError) and by its decoders of chunks.
@@ -197,7 +202,8 @@ def _open_npy(path: Path, shape: tuple[int, int] | None) -> _Picture:
             return array[:, :, first:end].astype(np.float32)
 
     names = tuple(str(i) for i in range(array.shape[2]))
-    return _Picture(names, None if array.dtype.kind == "f" else str(array.dtype), pixels)
+    kind = str(array.dtype)
+    return _Picture(names, None if array.dtype.kind == "f" else kind, pixels, _TOPS.get(kind))
 
 
 def _refuse_whole_numbers(path: Path, picture: _Picture) -> None:
@@ -233,6 +239,25 @@ def read_channel(
             raise InputError(f"{path}: found the channels {', '.join(names)}; must have one channel{wanted}")
         index = names.index(name) if len(names) > 1 and name is not None else 0
         return np.ascontiguousarray(picture.pixels(index, index + 1)[:, :, 0])
+
+
+def read_levels(path: str | Path, name: str | None = None) -> tuple[NDArray[np.float32], float | None]:
+    """One channel, shape (rows, cols), as `read_channel`, or levels in whole numbers of 8 or 16 bits, with their
+    largest; None for numbers that have none.
+
+    Grey levels may be stored as a picture in colour, with or without an opaque alpha. Raises `InputError` as
+    `read_channel` does, and for a picture that has colours.
+    """
+    path = Path(path)
+    with _opened(path, None) as picture:
+        if picture.top is None:
+            _refuse_whole_numbers(path, picture)
+            return read_channel(path, name), None
+        pixels = picture.pixels(0, len(picture.names))
+        grey = pixels[:, :, [channel != "A" for channel in picture.names]]
+        if (grey != grey[:, :, :1]).any():
+            raise InputError(f"{path}: found a picture in colour; must be grey, one level per pixel")
+        return np.ascontiguousarray(grey[:, :, 0], np.float32), picture.top
 
 
 def read_mask(path: str | Path, shape: tuple[int, int] | None = None) -> NDArray[np.bool_]:

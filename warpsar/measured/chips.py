@@ -7,8 +7,8 @@ import io
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from pathlib import Path, PurePosixPath
+from typing import Any, Literal
 
 import numpy as np
 
@@ -35,40 +35,79 @@ from warpsar.speckle.looks import equivalent_looks
 from warpsar.world.problems import first_problem
 from warpsar.world.tables import View
 
-NAMES = ("chip", "view", "name")
+NAMES = ("chip", "view", "name", "file", "filename", "image")
+AZIMUTHS = ("azimuth_deg",)
 ELEVATIONS = ("incidence_deg", "depression_deg", "grazing_deg")
+_SEPARATORS = (",", ";", "\t")
 _LARGEST_BYTES = 2**24
+PICTURES = {".jpeg", ".jpg", ".png"}  # suffixes of formats that are known by their bytes
+FEW = 3  # views, of which nothing is said
+
+Sense = Literal["clockwise", "counterclockwise"]
 
 
-def read_views(path: Path) -> dict[str, View]:
-    """The views of a table, by chip name: columns `chip` (or view, or name), azimuth_deg, one of incidence_deg,
-    depression_deg and grazing_deg, and, if stated, role and looks. Other columns are not read.
+def read_views(path: Path, azimuths: Sense = "clockwise") -> dict[str, View]:
+    """The views of a table, by chip name: columns `chip` (or view, name, file, filename, image), azimuth_deg, one of
+    incidence_deg, depression_deg and grazing_deg, and, if stated, role and looks. Other columns are not read.
 
-    Raises InputError, one message with all that is wrong, before any image is read.
+    Columns are parted by commas, semicolons or tabs. A chip may be named by its file. Angles are degrees, also where
+    `_deg` is left out; azimuths may go beyond a turn, and run in the sense of `azimuths`. Raises InputError, one
+    message with all that is wrong, before any image is read.
     """
     text = input_file.read_text(path, "a table of views", _LARGEST_BYTES)
+    first = text.partition("\n")[0]
     try:
-        reader = csv.DictReader(io.StringIO(text, newline=""))
-        rows, columns = list(reader), list(reader.fieldnames or [])
+        reader = csv.reader(
+            io.StringIO(text, newline=""), delimiter=max(_SEPARATORS, key=first.count), skipinitialspace=True
+        )
+        lines = [(reader.line_num, [cell.strip() for cell in row]) for row in reader]
     except csv.Error as error:
         raise InputError(f"{path}: cannot be read as a table of views ({error})") from None
-    name = _one_of(path, columns, NAMES)
-    elevation = _one_of(path, columns, ELEVATIONS)
-    if "azimuth_deg" not in columns:
-        raise InputError(f"{path}: found the columns {', '.join(columns)}; azimuth_deg is missing")
+    columns = [column.lower() for column in lines[0][1]] if lines else []
+    name, azimuth, elevation = (_one_of(path, columns, allowed) for allowed in (NAMES, AZIMUTHS, ELEVATIONS))
+    keys = {azimuth: AZIMUTHS[0], elevation: f"{elevation.removesuffix('_deg')}_deg", "looks": "looks", "role": "role"}
     found: dict[str, View] = {}
     problems: list[str] = []
-    for number, row in enumerate(rows, 2):
-        stated = {key: row.get(key) for key in ("azimuth_deg", elevation, "looks", "role") if row.get(key)}
-        if row[name] in found:
-            problems.append(f"line {number}: {row[name]} stands twice")
+    for number, cells in lines[1:]:
+        if not any(cells):
+            continue
+        row = dict(zip(columns, cells, strict=False))
+        stated = {key: _value(key, row[column]) for column, key in keys.items() if row.get(column)}
+        if isinstance(stated.get("azimuth_deg"), float):
+            stated["azimuth_deg"] = _within_a_turn(stated["azimuth_deg"], azimuths)
+        chip = _stem(row.get(name, ""))
+        if chip in found:
+            problems.append(f"line {number}: {chip} stands twice")
             continue
         try:
-            found[row[name]] = View.model_validate({"name": row[name]} | {k: _value(k, v) for k, v in stated.items()})
+            found[chip] = View.model_validate({"name": chip} | stated)
         except ValueError as error:
-            problems.append(f"line {number} ({row[name]}): {first_problem(error, View)}")
+            problems.append(f"line {number} ({chip}): {first_problem(error, View)}")
+    if not problems:
+        problems += _radians(found.values())
     refuse(path, problems)
     return found
+
+
+def _stem(text: str) -> str:
+    """The name of a chip that a table names, or whose file it names."""
+    file = PurePosixPath(text.replace("\\", "/"))
+    suffixes = {suffix for name in registry.names() for suffix in registry.get(name).suffixes} | PICTURES
+    return file.stem if file.suffix.lower() in suffixes else file.name
+
+
+def _within_a_turn(azimuth_deg: float, sense: Sense) -> float:
+    """An azimuth clockwise, -360 to 360 degrees."""
+    own = azimuth_deg if sense == "clockwise" else -azimuth_deg
+    return own if abs(own) <= 360.0 else own % 360.0
+
+
+def _radians(views: Iterable[View]) -> list[str]:
+    """The problem that angles seem to be radians: some views, all within 6.3 of azimuth and within 1.6 of grazing."""
+    angles = [(abs(view.azimuth_deg), min(view.incidence_deg, 90.0 - view.incidence_deg)) for view in views]
+    if len(angles) < FEW or any(a > 2.0 * math.pi or e > 0.5 * math.pi for a, e in angles):
+        return []
+    return ["all azimuths are below 6.3 and all elevations below 1.6: the angles seem to be radians; must be degrees"]
 
 
 def _chosen(path: Path, views: dict[str, View], sources: Iterable[Path]) -> list[tuple[Path, View]]:
@@ -87,7 +126,8 @@ def _chosen(path: Path, views: dict[str, View], sources: Iterable[Path]) -> list
 
 
 def _one_of(path: Path, columns: list[str], allowed: tuple[str, ...]) -> str:
-    found = [column for column in columns if column in allowed]
+    """The one column of a table that is `allowed`, with `_deg` or without."""
+    found = [column for column in columns if column in {*allowed, *(one.removesuffix("_deg") for one in allowed)}]
     if len(found) != 1:
         raise InputError(
             f"{path}: found the columns {', '.join(columns)}; exactly one of {', '.join(allowed)} is needed"
@@ -132,24 +172,25 @@ def import_chips(
     role: str | None = None,
     train: int | None = None,
     held_back: Sequence[Sector] = (),
+    azimuths: Sense = "clockwise",
 ) -> ImportedChips:
     """Bring slant-plane pictures onto the grid of a scene, each as the view that the table names after its file.
 
     Views that the scene file has already keep what it says and get the image. `read_views` says what a table
-    holds, and `assigned` what `role`, `train` and `held_back` do; the other arguments are those of
+    holds and `azimuths` means, and `assigned` what `role`, `train` and `held_back` do; the other arguments are those of
     `import_measured`. The scene file is written once, at the end. Raises
     InputError for a table or a file that cannot be read, and for a file that the table does not name.
     """
     scene_path, table = Path(scene_path), Path(table)
     paths = [Path(source) for source in sources]
-    views = read_views(table)
+    views = read_views(table, azimuths)
     named = [view.name for _, view in _chosen(table, views, paths)]
     views = assigned(table, views, named, role=role, train=train, held_back=held_back)
     pairs = _chosen(table, views, paths)
     scene, _ = opened(scene_path, pairs[0][1].name)
     known = {view.name for view in opened(scene_path, None)[0].views}
     clipped, done, pictures = [], [], []
-    messages: dict[str, int] = {}
+    messages: dict[str, int] = dict.fromkeys(scene.warnings, 1)
     for source, view in pairs:
         chip = registry.read(
             [source],

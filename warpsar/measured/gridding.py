@@ -21,6 +21,7 @@ from warpsar.world.tables import View
 from warpsar.world.world import World, geometry_of
 
 _MOST_LOOKS = 64
+_COARSE = 3.0  # times the grid's pixels: what is coarser shows nothing of what a grid is for
 
 
 @dataclass(frozen=True)
@@ -69,6 +70,7 @@ def on_grid(measured: PhaseHistory | ImageChip, world: World, view: View, how: G
     slc = None
     if isinstance(measured, ImageChip) and measured.locate is None:
         fine, slc = _sampled(measured, _in_slant_plane(measured, world, range_m, azimuth_m, looks))
+        messages += _coarse(measured, world)
     else:
         geometry = geometry_of(world, view)
         if how.surface == "mesh":
@@ -92,6 +94,15 @@ def on_grid(measured: PhaseHistory | ImageChip, world: World, view: View, how: G
     if unseen:
         messages.append(f"{unseen} of {power.size} pixels lie outside the measured area; they are NaN, and masked")
     return Gridded(power, looks, messages, range_m, azimuth_m, slc)
+
+
+def _coarse(chip: ImageChip, world: World) -> list[str]:
+    """The message that a picture's stated pixels are much larger than the grid's, if they are."""
+    steps = world.grid.spacing_m
+    if chip.spacing_m is None or all(a <= _COARSE * b for a, b in zip(chip.spacing_m, steps, strict=True)):
+        return []
+    found, own = (" x ".join(f"{step:g}" for step in each) for each in (chip.spacing_m, steps))
+    return [f"the picture's pixels are stated as {found} m, and image.spacing_m is {own}: is one of them wrong?"]
 
 
 def _sampled(chip: ImageChip, pixel: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
@@ -134,7 +145,8 @@ def _in_slant_plane(
         if tuple(chip.samples.shape) != wanted:
             raise InputError(
                 f"{chip.source}: {' x '.join(map(str, chip.samples.shape))} pixels, and no spacing; image.shape "
-                f"{list(world.grid.shape)} with {looks[0]} x {looks[1]} looks needs {wanted[0]} x {wanted[1]}"
+                f"{list(world.grid.shape)} with {looks[0]} x {looks[1]} looks needs {wanted[0]} x {wanted[1]}; state "
+                "--spacing for a picture of another size"
             )
         spacing = cast(tuple[float, float], tuple(s / n for s, n in zip(world.grid.spacing_m, looks, strict=True)))
     rows, cols = chip.samples.shape

@@ -32,6 +32,8 @@ from warpsar.world.tables import (
 from warpsar.world.upright import y_up
 from warpsar.world.world import NO_IMAGE
 
+FEW_PIXELS = 3.0  # across a body: what is smaller has no shape in an image
+
 
 def contents(path: Path) -> dict[str, Any]:
     """The fields of the `World` that a scene file describes. Raises InputError.
@@ -66,6 +68,8 @@ class _Loader:
         self.problems += problems
         assembly = self.assembly(mesh, mesh_path, objects) if objects and not self.problems else None
         mesh = mesh if assembly is None else assembly.mesh(objects)
+        if assembly is not None:
+            self.warnings += self.sizes(assembly, objects)
         views = [self.view(index, view) for index, view in enumerate(file.views)]
         found = [self.curve(index, curve, mesh) for index, curve in enumerate(file.curves)]
         self.problems += checks.view_names(views)
@@ -151,6 +155,23 @@ class _Loader:
     def absolute(self, name: str | Path) -> Path:
         path = self.path.parent / name
         return Path(os.path.realpath(path.parent)) / path.name
+
+    def sizes(self, assembly: Assembly, objects: Sequence[Object]) -> list[str]:
+        """Of bodies whose scale is sought: the doubt that one is in another unit, where no image could show it."""
+        if self.file.image is None:
+            return []
+        image_m = max(n * step for n, step in zip(self.grid.shape, self.grid.spacing_m, strict=True))
+        found = []
+        for index, one in enumerate(objects):
+            if one.mesh is None or "scale" not in one.learn:
+                continue
+            extent_m = float(np.ptp(assembly.vertices_of(one), axis=0).max())
+            if not FEW_PIXELS * max(self.grid.spacing_m) < extent_m < image_m:
+                found.append(
+                    f"objects[{index}] ({one.label}).mesh: {extent_m:.3g} m across in units of {one.units!r}, and an "
+                    f"image shows {image_m:.3g} m: check units and scale"
+                )
+        return found
 
     def view(self, index: int, view: View) -> View:
         key = f"views[{index}] ({view.name})"

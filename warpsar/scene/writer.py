@@ -101,6 +101,8 @@ class _Writer:
 
     def view(self, view: View) -> dict[str, Any]:
         table = _plain(view)
+        if abs(view.azimuth_deg) > 360.0:  # all views were turned together
+            table["azimuth_deg"] = view.azimuth_deg % 360.0
         for key in {"images", "slc"} & set(table):
             table[key] = {name: self.relative(Path(path)) for name, path in table[key].items()}
         if "mask" in table:

@@ -23,11 +23,16 @@ def as_box(scene: Scene, labels: Collection[str]) -> Scene:
     return with_objects(scene, [_box(scene, one) if one.label in labels else one for one in scene.objects])
 
 
-def _box(scene: Scene, one: Object) -> Object:
+def ends_m(scene: Scene, one: Object) -> tuple[np.ndarray, np.ndarray]:
+    """Where an object ends across, along and up, in its own frame [m], shapes (3,): the low and the high ends."""
     assert scene.assembly is not None
     upright = {"position_m": (0.0, 0.0, 0.0), "heading_deg": 0.0, "pitch_deg": 0.0, "roll_deg": 0.0}
     own = scene.assembly.vertices_of(one.model_copy(update=upright))
-    low, high = own.min(axis=0), own.max(axis=0)
+    return own.min(axis=0), own.max(axis=0)
+
+
+def _box(scene: Scene, one: Object) -> Object:
+    low, high = ends_m(scene, one)
     across, along, up = (high - low).tolist()
     foot = np.array([(low[0] + high[0]) / 2.0, (low[1] + high[1]) / 2.0, low[2]])
     moved = np.array(one.position_m) + rotation(one.heading_deg, one.pitch_deg, one.roll_deg) @ foot

@@ -71,6 +71,7 @@ def content_of(result: HeldOut) -> dict[str, Any]:
         "fronts": {label: {**asdict(step), "words": front_words(label, step)} for label, step in result.fronts.items()},
         "not_asked": result.not_asked,
         "ended": result.ended,
+        "azimuths": None if result.counting is None else {**asdict(result.counting), "words": result.counting.words},
         "folds": result.folds,
         "steps": [asdict(step) for step in result.steps],
         "profiles": {name: asdict(profile) for name, profile in result.profiles.items()},

@@ -11,9 +11,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import stdtrit
+from scipy.special import ndtri, stdtrit
 
-from warpsar.effects.registry import get
+from warpsar.diagnosis.held_out.box import ends_m
+from warpsar.effects.registry import declared as effects_of
+from warpsar.effects.registry import get, response_of
 from warpsar.learning.geometry import NAMES, WORDS, freed
 from warpsar.parameters.at import at
 from warpsar.parameters.parameter import Parameter
@@ -27,6 +29,8 @@ NEAR = (-0.6, -0.3, 0.0, 0.3, 0.6)  # of a second one, about the value that was 
 FURTHER = 4  # places beyond a profile's end, where it is still falling there
 ARCS = 9  # of neighbours in azimuth: their misfit is alike, so the jackknife leaves out an arc at a time
 INTERVAL = 0.95
+NORMAL = float(ndtri(0.5 + 0.5 * INTERVAL))
+AN_END = 0.5  # of a resolution cell: standard deviation of where a body ends that has detail beyond its mesh
 TURNED = "turned by 180 deg"
 ALIKE = ("box", "cylinder", "sphere")  # primitives that look the same turned by 180 degrees
 
@@ -124,6 +128,30 @@ def likeliest(places: Sequence[float], losses: np.ndarray, pull: np.ndarray) -> 
     return found, sd, float(stdtrit(len(groups) - 1, 0.5 + 0.5 * INTERVAL)) * sd
 
 
+def beyond_mesh(number: Number, scene: Scene) -> float:
+    """What detail beyond the mesh leaves unknown of a length or a width, as a standard deviation in the number's unit;
+    0 of any other number, and where the scene has no such detail.
+
+    The images show where the last detail ends, and not where the mesh does. Either end is known to `AN_END` of a cell.
+    A height is told by the shadow's end, where a cell is a small part of it.
+    """
+    axis = number.index or 0
+    root, key = number.parameter.root, number.parameter.key
+    if root != "objects" or key not in ("size_m", "scale") or axis == 2:
+        return 0.0
+    if not any(get(name).beyond_mesh for name in scene.effects):
+        return 0.0
+    widths = response_of(effects_of(scene, scene.views[0])).width_m
+    cell_m = max(max(width or 0.0, step) for width, step in zip(widths, scene.grid.spacing_m, strict=True))
+    left_m = AN_END * cell_m * math.sqrt(2.0)
+    if key == "size_m":
+        return left_m
+    one = next(one for one in scene.objects if one.label == number.parameter.owner)
+    low, high = ends_m(scene, one)
+    across_m, along_m, _ = high - low
+    return left_m * number.now(scene) / float(across_m if axis == 1 else along_m)
+
+
 def profiled(
     number: Number,
     scene: Scene,
@@ -156,6 +184,8 @@ def profiled(
         # as many places as before, so that the curve through them is as near to them
         steps = [steps[0] - step, *steps[:-1]] if low else [*steps[1:], steps[-1] + step]
         known = {one: known[one] if one in known else at(one) for one in steps}
+    beyond = beyond_mesh(number, scene)
+    sd, half = math.hypot(sd, beyond), math.hypot(half, NORMAL * beyond)
     means = tuple(float(one) for one in scores.mean(axis=1))
     unit = number.parameter.unit
     found = Profile(number.label, unit, number.known, number.sd, value, sd, half, tuple(places), means)

@@ -136,6 +136,10 @@ class TrainViews:
         on_whole = replace(scene, grid=self.whole.grid, views=list(bare.values()))
         return predicted(on_whole, [bare[name] for name in names], self.device)
 
+    def measured(self, name: str, polarization: str) -> np.ndarray:
+        """Measured power of a train view, the whole image."""
+        return self._measured[name, polarization]
+
     def scores(self, scene: Scene, names: Sequence[str]) -> np.ndarray:
         """Mean gamma deviance of each view at the model's best aim point, shape (names,): lower is better."""
         found = []

@@ -70,7 +70,8 @@ def front_words(label: str, step: TrialStep) -> str:
 
 def judgement(result: HeldOut) -> list[str]:
     """How far ahead the model is of each rival, in words."""
-    sentences = [one.words for one in result.advantages]
+    sentences = [] if result.counting is None else [f"{result.counting.words}; the scene written has them so"]
+    sentences += [one.words for one in result.advantages]
     if result.of_box is not None and THEN in result.images[0].predictions:
         sentences[-1] += "; the box was asked before all effects were tried, and is held against the model of that time"
     if result.undecided:

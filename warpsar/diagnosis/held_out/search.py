@@ -26,6 +26,7 @@ import warp as wp
 from warpsar.compare.aim import EXPECTED
 from warpsar.compare.prediction import BOX, SURE, THEN, Advantage, PredictedImage, advantage, predicted
 from warpsar.diagnosis.held_out.arcs import by_azimuth, folds
+from warpsar.diagnosis.held_out.azimuths import Counting, counted
 from warpsar.diagnosis.held_out.box import as_box
 from warpsar.diagnosis.held_out.geometry import (
     NEAR,
@@ -123,7 +124,8 @@ class HeldOut:
     left out, by name, in order of azimuth. `images`: the views left out beside all that predicts them. `rivals`:
     whether there are bodies, which meet a box of their size. `fronts`: by body, its trial against itself turned round.
     `box_held`: what the box's own search found; None where it had none. `not_asked`: what a limit of time left out.
-    `ended`: why the search ended before every effect was asked."""
+    `ended`: why the search ended before every effect was asked. `counting`: how azimuths are counted, where that is not
+    as they are stated; the scenes have them clockwise from the front."""
 
     scene: Scene
     declared: Scene
@@ -140,6 +142,7 @@ class HeldOut:
     held: list[str] = field(default_factory=list)
     not_asked: list[str] = field(default_factory=list)
     ended: str = ""
+    counting: Counting | None = None
 
     @property
     def of_pictures(self) -> Advantage | None:
@@ -201,15 +204,20 @@ class FoldSearch:
         self.not_asked: list[str] = []  # what a limit of time left out, in words
         self.ended = ""  # why, before every effect was asked
         self.trained, self.device, self._progress = TrainViews(scene, device), device, progress
+        self.folds = folds(self.trained.views, parts)
+        self._counting = None if of_rival else counted(self.trained)
+        if self._counting is not None:
+            console.say(self._counting.words)
+            self.trained = TrainViews(self._counting.of(scene), device)
+            self.folds = folds(self.trained.views, parts)
         self.fits = FitRays(device)
         self.start = self.trained.scene
-        self.folds = folds(self.trained.views, parts)
         self.order = [view.name for view in by_azimuth(self.trained.views)]
         self.numbers = numbers(self.start)
         self.bodies = [] if of_rival else bodies(self.start)
         self.steps: list[TrialStep] = []
         self.profiles: dict[str, Profile] = {}
-        self.held: list[str] = []
+        self.held: list[str] = [] if self._counting is None else [self._counting.label]
         self._added: dict[str, Added] = {}
         self._glanced: dict[str, tuple[float, float, dict[str, Any], bool]] = {}
 
@@ -247,6 +255,7 @@ class FoldSearch:
             held=list(dict.fromkeys(self.held)),
             not_asked=self.not_asked,
             ended=self.ended,
+            counting=self._counting,
         )
 
     def _search(self) -> None:

@@ -58,6 +58,7 @@ class Effect:
     last_resort: ClassVar[bool] = False  # can do what named effects do: none of the candidates of a search
     of_phase: ClassVar[bool] = False  # power cannot tell it: `diagnose` asks complex images
     of_numbers: ClassVar[bool] = False  # how a product wrote power as numbers: not searched where the product says it
+    beyond_mesh: ClassVar[bool] = False  # stands for detail that stands out from the mesh, and ends a body
     sets_positions: ClassVar[bool] = False  # a fit that moves it holds the positions of objects
     acts_on: ClassVar[tuple[Product, ...]] = ("beta0",)  # all other products refuse it by name
     in_place: ClassVar[str] = ""  # what a user writes for products that refuse it; they say so
