@@ -27,11 +27,12 @@ EDGE = wp.constant(1.0e-3)
 # Slope variance that even a smooth surface has: it keeps the lobe of a mirror wide enough for a mesh's facets.
 LEAST_SLOPE_VARIANCE = wp.constant(1.0e-4)
 
-STRETCHES = wp.constant(4)
+STRETCHES = wp.constant(8)
 """Of a line across a cell, in each of which what rays meet may change once."""
-HALVINGS = wp.constant(11)
-"""Of a stretch: a hundredth of a radian where the phase turns by ten circles in a cell."""
-FINEST = wp.constant(8)
+HALVINGS = wp.constant(14)
+"""Of a stretch: a hundredth of a radian where the phase turns by two hundred circles in a cell, as on a wall nearly
+along the line of sight."""
+FINEST = wp.constant(32)
 """Parts of a strip, into which it is cut at most where a corner lies in it."""
 PRIME = wp.constant(wp.uint64(1099511628211))
 """Of the hash FNV-1a."""
@@ -41,6 +42,10 @@ changes = wp.types.vector(length=int(STRETCHES), dtype=wp.float32)
 """Places along a line."""
 marks = wp.types.vector(length=int(STRETCHES) + 1, dtype=wp.uint64)
 """Of rays before, between and after the changes of a line."""
+SIDE = wp.constant(int(STRETCHES) + 1)
+"""Rays along each side of a cell that is looked at, from edge to edge."""
+looks = wp.types.vector(length=int(SIDE) * int(SIDE) + 4, dtype=wp.uint64)
+"""Marks of rays all over a cell, and in the middles of the four beside it."""
 
 
 @wp.struct
@@ -142,7 +147,7 @@ def follow(
     records: PathRecords,
 ) -> wp.uint64:
     """Walk the ray at a place. Every surface but the last is a mirror. Returns a number for the planes that it meets,
-    in their order, and from which of them it returns.
+    in their order, and from which of them it returns: an odd one if it returns at all.
 
     `tube` and `ends` are of the part of the rays' plane that the ray stands for, as in `PathRecords`; its returns are
     `written` to the records. A BVH query starts just off the surface, so that it does not find the same surface again.
@@ -163,6 +168,7 @@ def follow(
     between = float(0.0)
     reach = grid.reach
     mark = wp.uint64(0)
+    returns = wp.uint64(0)
     for bounce in range(rays.max_bounces):
         query = wp.mesh_query_ray(rays.tree, origin + clear * side, direction, reach)
         if not query.result:
@@ -209,6 +215,8 @@ def follow(
                         records.ray[slot] = tube
                         records.ends[slot] = ends
         mark = (mark ^ wp.uint64(2 * rays.plane[query.face] + returned)) * PRIME
+        if returned == 1:
+            returns = wp.uint64(1)
         before = point
         direction = direction - 2.0 * slope * hit.normal
         origin = point
@@ -219,7 +227,7 @@ def follow(
             further = wp.mesh_query_ray(rays.tree, origin + clear * side, direction, reach)
             if further.result:
                 wp.atomic_add(records.area, 1, weight)
-    return mark
+    return wp.uint64(2) * mark + returns
 
 
 @wp.kernel(enable_backward=False)
@@ -252,6 +260,76 @@ def path_kernel(
         centre_v = grid.elevation_start + (float(k) + 0.5) * grid.elevation_step
         tube = wp.vec4(centre_u, centre_v, 1.0, 1.0)
         follow(rays, azimuth_of(grid, cell, jitter), elevation_of(grid, k, jitter), tube, wp.vec3(), True, records_out)
+
+
+@wp.func
+def unlike(mark: looks, axis: int) -> int:
+    """How many of the lines along an axis of a cell meet other things, one after the other, than the one before."""
+    found = int(0)
+    before = wp.uint64(0)
+    for j in range(SIDE):
+        met = wp.uint64(0)
+        last = wp.uint64(0)
+        for i in range(SIDE):
+            k = j * SIDE + i
+            if axis == 1:
+                k = i * SIDE + j
+            if i == 0 or mark[k] != last:
+                met = (met ^ mark[k]) * PRIME
+            last = mark[k]
+        if j > 0 and met != before:
+            found += 1
+        before = met
+    return found
+
+
+@wp.kernel(enable_backward=False)
+def survey_kernel(
+    # In:
+    rays: PathRays,
+    cell: wp.array(dtype=wp.vec2i),
+    records: PathRecords,
+    # Out:
+    axis_out: wp.array(dtype=int),
+    open_out: wp.array(dtype=wp.vec4i),
+):
+    """How to cut each `cell` (azimuth, elevation), and over which of its sides a border goes on.
+
+    Strips lie along the axis whose lines meet the same: then both of their long sides do. A side is `open` (before and
+    beyond in azimuth, before and beyond in elevation) if a ray on it and the one in the middle of the cell beyond meet
+    other things, and one of them returns. Where two borders meet at a sharp angle their tip is narrower than a cell,
+    and longer than many: no ray in the middle of a cell finds it.
+    """
+    i = wp.tid()
+    grid = rays.grid
+    mark = looks()
+    for n in range(SIDE * SIDE + 4):
+        u = float(n % SIDE) / float(STRETCHES)
+        v = float(n / SIDE) / float(STRETCHES)
+        if n >= SIDE * SIDE:
+            beside = n - SIDE * SIDE
+            u = 0.5
+            v = 0.5
+            if beside < 2:
+                u = 2.0 * float(beside) - 0.5
+            else:
+                v = 2.0 * float(beside - 2) - 0.5
+        azimuth = grid.azimuth_start + (float(cell[i][0]) + u) * grid.azimuth_step
+        elevation = grid.elevation_start + (float(cell[i][1]) + v) * grid.elevation_step
+        mark[n] = follow(rays, azimuth, elevation, wp.vec4(), wp.vec3(), False, records)
+    opens = wp.vec4i(0, 0, 0, 0)
+    for side in range(4):
+        other = mark[SIDE * SIDE + side]
+        for n in range(SIDE):
+            k = n * SIDE + (side % 2) * (SIDE - 1)
+            if side >= 2:
+                k = n + (side % 2) * (SIDE - 1) * SIDE
+            if mark[k] != other and (mark[k] % wp.uint64(2) == wp.uint64(1) or other % wp.uint64(2) == wp.uint64(1)):
+                opens[side] = 1
+    axis_out[i] = 0
+    if unlike(mark, 1) < unlike(mark, 0):
+        axis_out[i] = 1
+    open_out[i] = opens
 
 
 @wp.struct

@@ -370,17 +370,15 @@ def _shares(
 
 @dataclass(frozen=True)
 class Borders:
-    """Ray cells at the borders of bodies: `cell` (azimuth, elevation), (n, 2); `error` and `along`, (n,).
+    """Ray cells at the borders of bodies: `cell` (azimuth, elevation), (n, 2); `error` and `bright`, (n,).
 
     `error` is that of the power of the brightest samples that the cell's tube sends to, relative, if it is not cut.
-    `bright`: whether these are among the view's brightest, and do not only stand out of the ground. `along`: how
-    many more pairs of neighbours on opposite sides meet different surfaces along the azimuth than along the elevation.
+    `bright`: whether these are among the view's brightest, and do not only stand out of the ground.
     """
 
     cell: NDArray[np.int64]
     error: NDArray[np.float64]
     bright: NDArray[np.bool_]
-    along: NDArray[np.int64]
 
 
 def borders_of(fields: SharedFields, planes: NDArray[np.int64]) -> Borders:
@@ -393,11 +391,11 @@ def borders_of(fields: SharedFields, planes: NDArray[np.int64]) -> Borders:
     error, bright = errors[fields.owner], brightest[fields.owner]
     cell, wanted = fields.cell, error > 0.0  # other groups send nothing
     if not wanted.any():
-        return Borders(np.zeros((0, 2), np.int64), np.zeros(0), np.zeros(0, bool), np.zeros(0, np.int64))
+        return Borders(np.zeros((0, 2), np.int64), np.zeros(0), np.zeros(0, bool))
     _, met = np.unique(np.append(0, planes)[fields.records["faces"]], axis=0, return_inverse=True)
     of = met.reshape(-1)[fields.owner] + 1
-    start = cell.min(axis=0) - 2
-    surfaces = np.zeros(np.ptp(cell, axis=0) + 5, np.int64)
+    start = cell.min(axis=0) - 1
+    surfaces = np.zeros(np.ptp(cell, axis=0) + 3, np.int64)
     surfaces[tuple((cell - start).T)] = of
     cell, of, error, bright = cell[wanted], of[wanted], error[wanted], bright[wanted]
     found = []
@@ -407,9 +405,7 @@ def borders_of(fields: SharedFields, planes: NDArray[np.int64]) -> Borders:
         found += [(at[other], error[other], bright[other]) for at in (beside, cell)]
     at = np.concatenate([one[0] for one in found])
     error, bright = np.concatenate([one[1] for one in found]), np.concatenate([one[2] for one in found])
-    about = {step: surfaces[tuple((at + step - start).T)] for step in product((-1, 0, 1), repeat=2)}
-    along = sum((about[1, n] != about[-1, n]).astype(int) - (about[n, 1] != about[n, -1]) for n in (-1, 0, 1))
-    return Borders(at, error, bright, np.asarray(along))
+    return Borders(at, error, bright)
 
 
 def errors_of(fields: SharedFields) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:

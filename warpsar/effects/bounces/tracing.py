@@ -46,8 +46,9 @@ _TOLD = 0.023  # of the rays that meet two surfaces: that many may go on after t
 _MOST = 4  # bounces that a path may have
 _UNSURE = 0.12  # of a bright corner's power, half a decibel: rays are too few
 _FAINTEST = 1e-3  # of a field, that a face is taken to mirror at least
-_LEAST_BUDGET = 1_000_000  # rays that cutting may add to a small view
-_STRIPS, _RAYS_OF_STRIP = 4, 30  # into which a cell at a border is cut, and rays that find where one ends
+_BUDGET = 3  # times the rays of a view, that cutting may add
+_LEAST_BUDGET = 3_000_000  # rays that it may add to a small view
+_STRIPS, _RAYS_OF_STRIP = 4, 90  # into which a cell at a border is cut, and rays that find where one lies and ends
 
 _ARRAYS = {n: dtype for n, dtype in element_types(kernels.PathRecords).items() if n not in ("count", "area")}
 
@@ -209,7 +210,7 @@ def _followed(render: Recorder, max_bounces: int, cell_m: tuple[float, float] | 
     error = 0.0
     if cell_m is not None:
         shared = _shared(traced_bands, max_bounces, grid, cell_m)
-        cuts, error = _cuts(shared, planes, rays, bands)
+        cuts, error = _cuts(shared, planes, sent, bands, target.device)
         if cuts:
             again = [partial(_band, render, sent, cells, bands[at], cut) for at, cut in cuts.items()]
             finer = dict(zip(cuts, threads.ordered(again, target.device), strict=True))
@@ -294,36 +295,82 @@ def _remarks(traced: Sequence[_Traced], max_bounces: int, error: float) -> list[
 
 
 def _cuts(
-    shared: Sequence[SharedFields | None], planes: NDArray[np.int64], rays: RayGrid, bands: Sequence[Any]
+    shared: Sequence[SharedFields | None],
+    planes: NDArray[np.int64],
+    followed: Any,
+    bands: Sequence[Any],
+    device: wp.Device,
 ) -> tuple[dict[int, NDArray[np.int32]], float]:
     """The bands that have cells to cut, each with those of `kernels.border_kernel`, (n, 4).
 
-    All cuts together send at most as many rays again: the view's brightest samples come first. And the largest
-    relative error of the power of one of these that is left.
+    All cuts together send at most `_BUDGET` times as many rays again: the view's brightest samples come first. And the
+    largest relative error of the power of one of these that is left.
     """
     found = [borders_of(fields, planes) for fields in shared if fields is not None]
     if not any(len(one.cell) for one in found):
         return {}, 0.0
+    rays = followed.grid
     size = rays.end_cell - rays.first_cell, rays.elevation_cells
-    cell, error, bright, along = (
-        np.concatenate([getattr(one, name) for one in found]) for name in ("cell", "error", "bright", "along")
+    cell, error, bright = (
+        np.concatenate([getattr(one, name) for one in found]) for name in ("cell", "error", "bright")
     )
-    cell = cell - (rays.first_cell, 0)
-    inside = ((cell >= 0) & (cell < size)).all(axis=1)
-    cell, number = np.unique(cell[inside], axis=0, return_inverse=True)
-    number = number.reshape(-1)
-    worst, among = np.zeros(len(cell)), np.zeros(len(cell))
-    np.maximum.at(worst, number, error[inside])
-    np.maximum.at(among, number, bright[inside])
-    lean = np.bincount(number, along[inside], len(cell))
-    count = max(size[0] * size[1], _LEAST_BUDGET) // (_RAYS_OF_STRIP * _STRIPS)
+    cell, worst, among = _once(cell - (rays.first_cell, 0), error, bright.astype(float), size)
+    count = max(_BUDGET * size[0] * size[1], _LEAST_BUDGET) // (_RAYS_OF_STRIP * _STRIPS)
     order = np.lexsort((-worst, -among))
     left = float((worst * among)[order[count:]].max(initial=0.0))
-    order = np.sort(order[:count])
-    strips = np.full(len(order), _STRIPS)
-    chosen = np.column_stack([cell[order] + (rays.first_cell, 0), lean[order] < 0, strips]).astype(np.int32)
+    order = order[:count]
+    if not count:
+        return {}, left
+    cell, axis = _surveyed(cell[order], worst[order], among[order], followed, count, device)
+    order = np.lexsort((cell[:, 1], cell[:, 0]))
+    start = np.array([rays.first_cell, 0])
+    chosen = np.column_stack([cell + start, axis, np.full(len(cell), _STRIPS)])[order].astype(np.int32)
     owner = np.searchsorted([band.end_cell for band in bands], chosen[:, 0], side="right")
     return {int(at): np.ascontiguousarray(chosen[owner == at]) for at in np.unique(owner)}, left
+
+
+def _once(
+    cell: NDArray[np.int64], worst: NDArray[np.float64], among: NDArray[np.float64], size: tuple[int, int]
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+    """Each cell (n, 2) inside of `size` once, with the largest of its values."""
+    inside = ((cell >= 0) & (cell < size)).all(axis=1)
+    keys, number = np.unique(cell[inside] @ (size[1], 1), return_inverse=True)
+    most = np.zeros((2, keys.size))
+    for one, values in zip(most, (worst, among), strict=True):
+        np.maximum.at(one, number, values[inside])
+    return np.stack(np.divmod(keys, size[1]), axis=1), most[0], most[1]
+
+
+def _surveyed(
+    cell: NDArray[np.int64],
+    worst: NDArray[np.float64],
+    among: NDArray[np.float64],
+    followed: Any,
+    count: int,
+    device: wp.Device,
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Cells at borders, with those over whose sides these go on, `count` at most; and the axis of each one's strips."""
+    rays = followed.grid
+    size = rays.end_cell - rays.first_cell, rays.elevation_cells
+    start = np.array([rays.first_cell, 0])
+    none = _records(0, device)
+    known = np.zeros(0, np.int64)
+    cells, axes = [], []
+    while len(cell) > 0:
+        known = np.union1d(known, cell @ (size[1], 1))
+        at: wp.array = wp.array((cell + start).astype(np.int32), dtype=wp.vec2i, device=device)
+        axis: wp.array = wp.empty(len(cell), dtype=int, device=device)
+        opens: wp.array = wp.empty(len(cell), dtype=wp.vec4i, device=device)
+        wp.launch(kernels.survey_kernel, len(cell), inputs=[followed, at, none], outputs=[axis, opens], device=device)
+        cells.append(cell)
+        axes.append(axis.numpy().astype(np.int64))
+        owner, side = np.nonzero(opens.numpy())
+        beside = cell[owner] + np.array([(-1, 0), (1, 0), (0, -1), (0, 1)])[side]
+        cell, worst, among = _once(beside, worst[owner], among[owner], size)
+        new = ~np.isin(cell @ (size[1], 1), known)
+        order = np.lexsort((-worst[new], -among[new]))[: max(count - known.size, 0)]
+        cell, worst, among = cell[new][order], worst[new][order], among[new][order]
+    return np.concatenate(cells), np.concatenate(axes)
 
 
 def _band_width(rays: RayGrid, max_bounces: int, device: wp.Device) -> int:
