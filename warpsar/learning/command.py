@@ -13,7 +13,8 @@ import numpy as np
 
 from warpsar.coherent.left_out import left_out_warning
 from warpsar.compare.aim import unaimed
-from warpsar.compare.curve import errors_in_short
+from warpsar.compare.curve import content_of, errors_in_short
+from warpsar.compare.evaluation import curves_content
 from warpsar.effects.registry import held_by
 from warpsar.io import checkpoint
 from warpsar.io.figures import convergence, save
@@ -77,7 +78,7 @@ def fitted(
         written = write_json(out / "learn.json", scene, where, options.seed, started, of_curves.content())
         console.say_written(out, "scene.toml", "learn.json")
         return of_curves, written
-    console.warn(unaimed(scene))
+    console.warn([*unaimed(scene), *(left_out_warning(scene, "a curve") if scene.curves else [])])
     resume = resume or bool(once.restarts())
     found = learn(scene, device=where.alias, options=options, folder=out, resume=resume)
     once.write(lambda: _write(out, scene, found))
@@ -96,7 +97,7 @@ def fitted(
         content["identifiability"] = found.identified.summary()
         for sentence in found.identified.words:
             console.say(sentence)
-    elif found.x.size:
+    elif not found.problem.uniform:
         content["fields"] = write_field_uncertainty(found.problem, found.x, out)
     once.wait()  # a process that dies from here on takes no result with it
 
@@ -188,6 +189,8 @@ def _summary(found: Learned, options: LearnOptions) -> dict[str, Any]:
         content["objects"] = found.objects.content()
         if found.objects.found.numbers:
             content["geometry"] = found.objects.found.numbers
+    if found.after.curves:
+        content["curves"] = {"before": content_of(found.before.curves), **curves_content(found.scene, found.after)}
     if not problem.scene.grid.calibrated:
         gains = problem.gains(problem.modelled(found.x))
         pairs = zip(problem.observations, gains, strict=True)

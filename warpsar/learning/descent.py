@@ -103,7 +103,7 @@ def descend(
 def stand(
     problem: FitProblem, tests: FitProblem | None, options: LearnOptions, record: FitRecord, *, stoppable: bool
 ) -> tuple[FitState, str]:
-    """A run of no iteration, where nothing but poses or a learned term is learned: `descend` without a change."""
+    """A run of no iteration, where nothing but poses is learned: `descend` without a change."""
     x = problem.x0
     loss = problem.value(problem.modelled(x))
     record.state = FitState(x, loss, x, loss)
@@ -124,7 +124,8 @@ def states(problem: FitProblem, options: LearnOptions, state: FitState | None) -
                 state = levenberg_marquardt(problem, state)
                 yield state
         else:
-            graph = problem.shared_nodes is not None and not problem.effect_coordinates and problem.keeps_hits
+            surfaces_alone = problem.x0.size == problem.learned.size
+            graph = problem.shared_nodes is not None and surfaces_alone and problem.keeps_hits
             descent = (GraphAdam if graph and problem.scene.grid.calibrated else Adam)(problem, state, options.rate)
             while not state.arrived:
                 state = descent.step(state)
