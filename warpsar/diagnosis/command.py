@@ -81,7 +81,7 @@ def run(
     once.join(where)
     phases = once.find(lambda: ask_phase(scene))
     scene = with_phase_errors(scene, phases)
-    record = open_record(scene, options, out, resume or bool(once.restarts()))
+    record = open_record(scene, options, out, resume)
     diagnosis = diagnose_scene(scene, where, options, record)
 
     processes = once.processes()

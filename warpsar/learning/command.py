@@ -79,7 +79,6 @@ def fitted(
         console.say_written(out, "scene.toml", "learn.json")
         return of_curves, written
     console.warn([*unaimed(scene), *(left_out_warning(scene, "a curve") if scene.curves else [])])
-    resume = resume or bool(once.restarts())
     found = learn(scene, device=where.alias, options=options, folder=out, resume=resume)
     once.write(lambda: _write(out, scene, found))
     content = _summary(found, options)

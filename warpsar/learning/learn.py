@@ -6,7 +6,6 @@ import hashlib
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
-from functools import partial
 from os import PathLike
 from pathlib import Path
 
@@ -18,7 +17,7 @@ from warpsar.compare.judgement import Judgement
 from warpsar.compare.metrics import PooledMetrics
 from warpsar.compare.observation import looks_of
 from warpsar.errors import InputError, WarpsarError, refuse_kind
-from warpsar.io import checkpoint
+from warpsar.io.checkpoint import Checkpoint
 from warpsar.learning.coordinates import SceneCoordinates
 from warpsar.learning.curves import curves_beside
 from warpsar.learning.descent import FitRecord, History, descend, stand
@@ -121,8 +120,7 @@ def learn(
     where = devices.resolve_device(device)
     once.join(where)
     folder = None if folder is None else Path(folder)
-    if folder is not None and once.restarts() == 0 and not resume:
-        once.write(partial(checkpoint.remove, folder))  # of an earlier run: torchrun's restarts shall find this one's
+    kept = Checkpoint(folder, resume)
 
     def prepared(one: Scene) -> FitProblem:
         problem, _ = prepare(one, where, options)
@@ -147,7 +145,7 @@ def learn(
     cosines = {name: seen_cosines(problem, name, TABLE) for name in tables}
     check = _checked(problem) if problem.x0.size else GradientCheck(0.0, 0)
     tests = once.agree(lambda: _test_problem(scene, where, options, problem, density))
-    record = _record(declared, options, folder, resume)
+    record = FitRecord(kept, _tag(declared, options))
     runs = descend if problem.x0.size else stand
     state, stopped = runs(problem, tests, options, record, stoppable=folder is not None)
     x = np.asarray(state.best_x)
@@ -246,15 +244,6 @@ def _checked(problem: FitProblem) -> GradientCheck:
             f"rays, or a start further inside the bounds, may help"
         )
     return check
-
-
-def _record(scene: Scene, options: LearnOptions, folder: Path | None, resume: bool) -> FitRecord:
-    """The run as it stands: at its beginning, or with `resume` at its checkpoint."""
-    tag = _tag(scene, options)
-    stored = None if folder is None or not resume else once.find(partial(checkpoint.read, folder, tag))
-    if resume and stored is None:
-        console.say("--resume: there is no checkpoint; the run starts afresh")
-    return FitRecord(folder, tag, stored)
 
 
 def prepare(
