@@ -21,7 +21,7 @@ from warpsar.io.figures import convergence, save
 from warpsar.io.images import replacing
 from warpsar.learning.curves import LearnedCurves, learn_from_curves
 from warpsar.learning.descent import History
-from warpsar.learning.fields import write_field_uncertainty
+from warpsar.learning.fields import field_uncertainty
 from warpsar.learning.learn import Learned, learn
 from warpsar.learning.object_figures import figure_of_objects
 from warpsar.learning.options import LearnOptions
@@ -97,7 +97,8 @@ def fitted(
         for sentence in found.identified.words:
             console.say(sentence)
     elif not found.problem.uniform:
-        content["fields"] = write_field_uncertainty(found.problem, found.x, out)
+        fields = field_uncertainty(found.problem, found.x)
+        content["fields"] = once.write(lambda: {name: one.write(out) for name, one in fields.items()}) or {}
     once.wait()  # a process that dies from here on takes no result with it
 
     def write() -> dict[str, Any]:
