@@ -152,11 +152,12 @@ class Experiment:
 
     def views_of_texels(self, found: Learned) -> np.ndarray:
         """In how many of the fit's views a texel is seen, shape (rows, cols)."""
-        from warpsar.learning.fields import write_field_uncertainty
+        from warpsar.learning.fields import field_uncertainty
 
         folder = self.folder / "uncertainty"
         folder.mkdir(parents=True, exist_ok=True)
-        write_field_uncertainty(found.problem, found.x, folder)
+        for one in field_uncertainty(found.problem, found.x).values():
+            one.write(folder)
         return np.asarray(read_channel(folder / f"{TEXTURE}_{KEYS[0]}_sd.exr", "views"))
 
     def parameter_errors(self, found: Learned) -> dict[str, float]:

@@ -80,7 +80,7 @@ def test_the_only_body_stands_elsewhere(tmp_path: Path) -> None:
 
 @pytest.mark.full
 def test_the_angle_of_a_test_view_is_its_own(tmp_path: Path) -> None:
-    """No train view can tell it, and it is no fault of the model. The hut's far corner lies 10 m from the turn's axis."""
+    """No train view can tell it, and it is no fault of the model. The hut's far corner is 10 m from the turn's axis."""
     truth = town(views())
     given = measured(truth, tmp_path, looks=16.0, seed=3)
     azimuth = given.parameters["views.v4.azimuth_deg"]

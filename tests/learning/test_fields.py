@@ -10,7 +10,7 @@ from learning_scenes import bumpy, measured, views_at
 from worlds import SOIL, plate, scene_of
 
 from warpsar.io.images import read_channel, write_exr
-from warpsar.learning.fields import node_weights, write_field_uncertainty
+from warpsar.learning.fields import field_uncertainty, node_weights
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.results import learned_scene
 from warpsar.runtime import devices
@@ -22,6 +22,11 @@ from warpsar.world.tables import Material
 pytestmark = pytest.mark.unit
 
 KEYS = ("eps_r", "rms_height_m")
+
+
+def written(problem: FitProblem, x: np.ndarray, folder: Path) -> dict[str, Any]:
+    """The fields' uncertainty, in files of a folder; its summary."""
+    return {name: one.write(folder) for name, one in field_uncertainty(problem, x).items()}
 
 
 def scene_with_fields(layout: str, folder: Path, effects: dict[str, Any] | None = None, **more: Any) -> Scene:
@@ -83,7 +88,7 @@ def test_uncertainty_is_that_of_the_jacobian(layout: str, effects: dict[str, Any
     if problem.effect_coordinates:  # the brute force is that of the surface's nodes alone
         problem.effect_coordinates = []
         problem.x0 = problem.x0[: problem.learned.size]
-    summary = write_field_uncertainty(problem, problem.x0, tmp_path)
+    summary = written(problem, problem.x0, tmp_path)
     expected, views = brute_force(problem)
     sd, seen_in = read_back(layout, tmp_path)
     known = expected.max(axis=1) < 3.0
@@ -106,7 +111,7 @@ def test_a_node_that_no_pixel_sees_is_infinite(tmp_path: Path) -> None:
     mask[:, :5] = 1.0
     write_exr(tmp_path / "mask.exr", {"Y": mask})
     problem = FitProblem(replace(scene, views=views[:1]), devices.resolve_device("cpu"))
-    write_field_uncertainty(problem, problem.x0, tmp_path)
+    written(problem, problem.x0, tmp_path)
     sd, seen_in = read_back("texture", tmp_path)
     assert 0 < np.count_nonzero(seen_in) < 16
     assert np.isinf(sd[seen_in == 0]).all()
@@ -124,7 +129,7 @@ def test_one_polarization_cannot_tell_two_parameters(tmp_path: Path) -> None:
         write_exr(tmp_path / f"start_{key}.exr", {key: np.full((4, 4), number)})
     views = [v.model_copy(update={"images": {"HH": v.images["HH"]}}) for v in scene.views[:1]]
     problem = FitProblem(replace(scene, mesh=mesh, views=views), devices.resolve_device("cpu"))
-    write_field_uncertainty(problem, problem.x0, tmp_path)
+    written(problem, problem.x0, tmp_path)
     sd, seen_in = read_back("texture", tmp_path)
     assert seen_in.max() == 1
     assert np.isinf(sd).all()
@@ -162,9 +167,9 @@ def test_hits_in_finer_bins_fall_into_their_pixels(tmp_path: Path) -> None:
         # a ray's footprint is shared out among finer bins: what crosses a pixel's edge differs by its sampling
         np.testing.assert_allclose(found.sum(), expected.sum(), rtol=0.02)
         assert np.corrcoef(found, expected)[0, 1] > 0.99
-    write_field_uncertainty(moved, moved.x0, tmp_path)
+    written(moved, moved.x0, tmp_path)
     sd, _ = read_back("texture", tmp_path)
-    write_field_uncertainty(plain, plain.x0, tmp_path)
+    written(plain, plain.x0, tmp_path)
     expected_sd, _ = read_back("texture", tmp_path)
     known = expected_sd.max(axis=1) < 1.0
     # a node at the interior's edge has few hits, and their pixels are those a footprint's share falls into
@@ -179,6 +184,6 @@ def test_names_that_no_file_may_have(tmp_path: Path) -> None:
     scene = replace(scene, mesh=mesh, materials={"wall/north side": scene.materials["soil"]})
     problem = FitProblem(scene, devices.resolve_device("cpu"))
     found = learned_scene(problem, problem.x0, tmp_path)
-    write_field_uncertainty(problem, problem.x0, tmp_path)
+    written(problem, problem.x0, tmp_path)
     assert Path(str(found.materials["wall/north side"].eps_r)).name == "wall_north_side_0_eps_r.exr"
     assert (tmp_path / "wall_north_side_0_eps_r_sd.exr").exists()

@@ -144,7 +144,7 @@ def test_another_table_is_recovered_within_its_intervals_where_it_was_seen(
     """HH, VV and HV at three incidences, 16 looks. Two tables share pixels, where the block lies over the ground."""
     truth = bent()
     found = learned(tmp_path, materials, truth, ("HH", "VV", "HV"))
-    assert found.stopped == "nothing but a table is learned"
+    assert found.stopped == "plateau"
     assert not found.doubts
     assert found.train["deviance"] == pytest.approx(1.0, abs=0.05)
     one = found.tables["lawn"]

@@ -301,6 +301,19 @@ def ranked(path: Path) -> set[str]:
     return names & {"ranks", "_ranks", "Ranks", "torch.distributed", "RANK", "LOCAL_RANK", "WORLD_SIZE"}
 
 
+def test_files_are_written_by_commands() -> None:
+    """A command knows which process writes; what it calls makes values. A checkpoint and the maps of a learned scene
+    are written while a run goes on."""
+    writing = set()
+    for name, path in sources(ROOT).items():
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Attribute) and ast.unparse(node) in ("once.write", "once.restarts"):
+                writing.add(name)
+    assert "warpsar.io.checkpoint" in writing
+    commands = {name for name in writing if name.endswith(".command") or name.startswith("warpsar.cli.")}
+    assert writing - commands == {"warpsar.io.checkpoint", "warpsar.learning.learn", "warpsar.simulation.batch"}
+
+
 def test_processes_are_known_where_work_is_shared(found: list[Arrow]) -> None:
     assert knowing(found) == {"processes": SHARING, "torchrun": READS_TORCHRUN}
     naming = {name for name, path in sources(ROOT).items() if ranked(path) and not name.startswith(PROCESSES)}

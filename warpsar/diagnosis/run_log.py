@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
-from warpsar.errors import InputError
-from warpsar.io import checkpoint
-from warpsar.runtime import console, once
+from warpsar.io.checkpoint import Checkpoint
 
 T = TypeVar("T")
 
@@ -22,19 +19,23 @@ class RunLog:
     would find again, to the bit on the CPU: JSON keeps every digit.
 
     `tag` names the run (`checkpoint.write`); without a `folder` nothing is stored. `entries` are those of an earlier
-    part of the run.
+    part of the run, which `kept` has stored.
     """
 
-    def __init__(self, folder: Path | None = None, tag: str = "", entries: list[Any] | None = None) -> None:
-        self._folder, self._tag, self.entries = folder, tag, list(entries or [])
+    def __init__(
+        self,
+        folder: Path | None = None,
+        tag: str = "",
+        entries: list[Any] | None = None,
+        kept: Checkpoint | None = None,
+    ) -> None:
+        self._kept, self._tag, self.entries = kept or Checkpoint(folder, resume=True), tag, list(entries or [])
         self._next = 0
 
     def add(self, entry: Any) -> None:
         """Keep an entry, and store all."""
         self.entries.append(entry)
-        if self._folder is not None:
-            arrays = {"told": np.array(json.dumps(self.entries))}
-            once.write(partial(checkpoint.write, self._folder, arrays, self._tag))
+        self._kept.write(lambda: {"told": np.array(json.dumps(self.entries))}, self._tag)
 
     def following(self, run: Callable[[], T], content: Callable[[T], Any], of: Callable[[Any], T]) -> T:
         """What the next step of the run gives: as stored, or by `run`. `content` makes an entry of it, and `of` makes
@@ -53,17 +54,6 @@ def open_run_log(folder: Path, tag: str, resume: bool) -> RunLog:
     Raises InputError where there is nothing to resume, or what is there belongs to another scene, other options or
     another version. Under torchrun, a job that is started again before its first checkpoint begins anew.
     """
-    restarts = once.restarts()
-    if restarts == 0 and not resume:
-        once.write(partial(checkpoint.remove, folder))  # of an earlier run: torchrun's restarts shall find this one's
-
-    def read() -> dict[str, np.ndarray] | None:
-        found = checkpoint.read(folder, tag)
-        if found is None and restarts is None:
-            raise InputError(f"--resume: found no checkpoint in {folder}; allowed is a folder with one of this run")
-        return found
-
-    stored = once.find(read) if resume else None
-    if resume and stored is None:
-        console.say("--resume: there is no checkpoint; the run starts afresh")
-    return RunLog(folder, tag, None if stored is None else json.loads(str(stored["told"])))
+    kept = Checkpoint(folder, resume)
+    stored = kept.stored(tag, needed=True)
+    return RunLog(folder, tag, None if stored is None else json.loads(str(stored["told"])), kept)

@@ -9,6 +9,8 @@ import struct
 import warnings
 import zipfile
 import zlib
+from collections.abc import Callable
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from tokenize import TokenError
@@ -18,11 +20,53 @@ from numpy.lib import format
 
 from warpsar.errors import InputError
 from warpsar.io.images import replacing
+from warpsar.runtime import console, once
 
 NAME = "checkpoint.npz"
 # What broken bytes make zipfile and NumPy, whose headers are Python text, raise.
 _BROKEN: tuple[type[Exception], ...] = (OSError, ValueError, EOFError, LookupError, TypeError, OverflowError)
 _BROKEN += (RecursionError, RuntimeError, SyntaxError, TokenError, struct.error, zipfile.BadZipFile, zlib.error)
+
+
+class Checkpoint:
+    """The checkpoint of one run in its folder, for all its processes: the first one reads, writes and removes it.
+
+    A run that is begun, and not started again by torchrun, removes that of an earlier one. `resumes`: whether it goes
+    on from what is stored. Without a `folder` nothing is stored, and nothing found.
+    """
+
+    def __init__(self, folder: Path | None, resume: bool = False) -> None:
+        self._folder, self._restarts = folder, once.restarts()
+        self.resumes = folder is not None and (resume or bool(self._restarts))
+        if folder is not None and self._restarts == 0 and not resume:
+            once.write(partial(remove, folder))  # of an earlier run: torchrun's restarts shall find this one's
+
+    def stored(self, tag: str, *, needed: bool = False) -> dict[str, np.ndarray] | None:
+        """The arrays that a run to be resumed goes on from, as `read` has them; None where there are none.
+
+        `needed`: InputError is raised where there are none; but not under torchrun, which may start a job again before
+        its first checkpoint.
+        """
+        folder = self._folder
+        if folder is None or not self.resumes:
+            return None
+
+        def found() -> dict[str, np.ndarray] | None:
+            arrays = read(folder, tag)
+            if arrays is None and needed and self._restarts is None:
+                raise InputError(f"--resume: found no checkpoint in {folder}; allowed is a folder with one of this run")
+            return arrays
+
+        arrays = once.find(found)
+        if arrays is None:
+            console.say("--resume: there is no checkpoint; the run starts afresh")
+        return arrays
+
+    def write(self, arrays: Callable[[], dict[str, np.ndarray]], tag: str) -> None:
+        """Replace what is stored, as `write` does."""
+        folder = self._folder
+        if folder is not None:
+            once.write(lambda: write(folder, arrays(), tag))
 
 
 def write(folder: Path, arrays: dict[str, np.ndarray], tag: str) -> None:

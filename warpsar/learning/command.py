@@ -13,14 +13,15 @@ import numpy as np
 
 from warpsar.coherent.left_out import left_out_warning
 from warpsar.compare.aim import unaimed
-from warpsar.compare.curve import errors_in_short
+from warpsar.compare.curve import content_of, errors_in_short
+from warpsar.compare.evaluation import curves_content
 from warpsar.effects.registry import held_by
 from warpsar.io import checkpoint
 from warpsar.io.figures import convergence, save
 from warpsar.io.images import replacing
 from warpsar.learning.curves import LearnedCurves, learn_from_curves
 from warpsar.learning.descent import History
-from warpsar.learning.fields import write_field_uncertainty
+from warpsar.learning.fields import field_uncertainty
 from warpsar.learning.learn import Learned, learn
 from warpsar.learning.object_figures import figure_of_objects
 from warpsar.learning.options import LearnOptions
@@ -77,8 +78,7 @@ def fitted(
         written = write_json(out / "learn.json", scene, where, options.seed, started, of_curves.content())
         console.say_written(out, "scene.toml", "learn.json")
         return of_curves, written
-    console.warn(unaimed(scene))
-    resume = resume or bool(once.restarts())
+    console.warn([*unaimed(scene), *(left_out_warning(scene, "a curve") if scene.curves else [])])
     found = learn(scene, device=where.alias, options=options, folder=out, resume=resume)
     once.write(lambda: _write(out, scene, found))
     content = _summary(found, options)
@@ -96,8 +96,9 @@ def fitted(
         content["identifiability"] = found.identified.summary()
         for sentence in found.identified.words:
             console.say(sentence)
-    elif found.x.size:
-        content["fields"] = write_field_uncertainty(found.problem, found.x, out)
+    elif not found.problem.uniform:
+        fields = field_uncertainty(found.problem, found.x)
+        content["fields"] = once.write(lambda: {name: one.write(out) for name, one in fields.items()}) or {}
     once.wait()  # a process that dies from here on takes no result with it
 
     def write() -> dict[str, Any]:
@@ -188,6 +189,8 @@ def _summary(found: Learned, options: LearnOptions) -> dict[str, Any]:
         content["objects"] = found.objects.content()
         if found.objects.found.numbers:
             content["geometry"] = found.objects.found.numbers
+    if found.after.curves:
+        content["curves"] = {"before": content_of(found.before.curves), **curves_content(found.scene, found.after)}
     if not problem.scene.grid.calibrated:
         gains = problem.gains(problem.modelled(found.x))
         pairs = zip(problem.observations, gains, strict=True)

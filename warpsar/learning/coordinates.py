@@ -12,6 +12,7 @@ import warp as wp
 from warpsar.effects.base.parameter import EffectParameter
 from warpsar.effects.registry import get, held_by
 from warpsar.errors import InputError
+from warpsar.learning.device_values import DeviceValues
 from warpsar.parameters.parameter import Parameter
 from warpsar.scene.scene import Scene
 from warpsar.surface.surface import KINDS, Surface
@@ -71,13 +72,14 @@ class DeviceX:
 class SceneCoordinates:
     """The parameters of a scene that may change, as one vector x.
 
-    x holds, in this order, the learned surface nodes (ln(eps_r - 1), ln h, ln l, logit tau) and the fit coordinates of
-    the declared effects' fitted parameters, per view for the views `chosen`. `x0` is x as the scene declares it, shape
-    (p,), float64. Raises InputError for a start at which every derivative is 0.
+    x holds, in this order, the learned surface nodes (ln(eps_r - 1), ln h, ln l, logit tau), the fit coordinates of
+    the declared effects' fitted parameters, per view for the views `chosen`, and the coordinates z of `values`: tables
+    and learned terms. `x0` is x as the scene declares it, shape (p,), float64; `of_effects` and `of_values` are the
+    places of its last two parts. Raises InputError for a start at which every derivative is 0.
     """
 
-    def __init__(self, scene: Scene, chosen: Sequence[View]) -> None:
-        self.scene, self.chosen = scene, chosen
+    def __init__(self, scene: Scene, chosen: Sequence[View], values: DeviceValues | None = None) -> None:
+        self.scene, self.chosen, self.values = scene, chosen, values or DeviceValues()
         self.surface = Surface.of(scene)
         self.learned = self.surface.learned
         learned = [block for block in self.surface.blocks if block.learn]
@@ -89,7 +91,10 @@ class SceneCoordinates:
         self._learned: np.ndarray | slice = slice(self.learned[0], self.learned[-1] + 1) if whole else self.learned
         self.effect_coordinates = self._effect_coordinates()
         self._tables: dict[str, dict[str, Any]] = {name: dict(table) for name, table in scene.effects.items()}
-        self.x0 = np.concatenate([self.surface.nodes[self.learned], self._effect_values(scene.effects)])
+        first, last = self.learned.size, self.learned.size + len(self.effect_coordinates)
+        self.of_effects, self.of_values = slice(first, last), slice(last, last + self.values.start.size)
+        own = self.surface.nodes[self.learned], self._effect_values(scene.effects), self.values.start
+        self.x0 = np.concatenate(own)
         if not np.isfinite(self.x0).all():
             bad = [self.labels[i] for i in np.flatnonzero(~np.isfinite(self.x0))[:5]]
             raise InputError(
@@ -104,7 +109,7 @@ class SceneCoordinates:
         for parameter, size in self._fields:
             name = parameter.old_name
             names += [name] if size == 1 else [f"{name}[{i}]" for i in range(size)]
-        return names + [c.label for c in self.effect_coordinates]
+        return names + [c.label for c in self.effect_coordinates] + self.values.labels
 
     def numbers(self) -> Iterator[tuple[int, Parameter]]:
         """The parameters that are one number of x, each with its place."""
@@ -123,7 +128,8 @@ class SceneCoordinates:
     @property
     def moved_together(self) -> np.ndarray:
         """The sizes of x's parts that another start moves as a whole: fields, and single numbers."""
-        return np.array([*(size for _, size in self._fields), *(1 for _ in self.effect_coordinates)], int)
+        numbers = (1 for _ in range(self.x0.size - self.learned.size))
+        return np.array([*(size for _, size in self._fields), *numbers], int)
 
     @property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
@@ -131,7 +137,8 @@ class SceneCoordinates:
         parts = [*self._fields, *((c.parameter, 1) for c in self.effect_coordinates)]
         ends = [sorted(float(one.transform.to_coordinate(end)) for end in one.fit_bounds or ()) for one, _ in parts]
         low, high = np.repeat(np.reshape(ends, (-1, 2)), [size for _, size in parts], axis=0).T
-        return low.copy(), high.copy()
+        open_ended = np.full(self.values.start.size, np.inf)
+        return np.concatenate([low, -open_ended]), np.concatenate([high, open_ended])
 
     def nodes(self, x: np.ndarray) -> np.ndarray:
         """The whole surface's nodes with x in place, float64."""
@@ -158,7 +165,7 @@ class SceneCoordinates:
             name: {k: dict(v) if isinstance(v, dict) else v for k, v in t.items()} for name, t in self._tables.items()
         }
         # a DeviceX has no such values, and is not copied to the host to find none
-        values = np.asarray(x)[self.learned.size :] if self.effect_coordinates else ()
+        values = np.asarray(x)[self.of_effects] if self.effect_coordinates else ()
         for c, value in zip(self.effect_coordinates, values, strict=True):
             number = float(c.declared.from_coordinate(value))
             if c.entry is None:
@@ -180,7 +187,8 @@ class SceneCoordinates:
         self._tables = other.effect_tables(x)
         if not self.effect_coordinates and not other.effect_coordinates:
             return x
-        return np.concatenate([np.asarray(x)[: other.learned.size], self._effect_values(self._tables)])
+        x = np.asarray(x)
+        return np.concatenate([x[: other.learned.size], self._effect_values(self._tables), x[other.of_values]])
 
     def _with(self, x: np.ndarray, nodes: np.ndarray) -> np.ndarray:
         found = nodes.copy()
@@ -216,11 +224,10 @@ class SceneCoordinates:
     @property
     def zero_sum_means(self) -> np.ndarray:
         """Directions in x that change nothing by definition, shape (n, p): the mean of values that sum to zero."""
-        first = self.learned.size
-        rows = np.zeros((len(self.zero_sums), first + len(self.effect_coordinates)))
+        rows = np.zeros((len(self.zero_sums), self.x0.size))
         for row, key in zip(rows, self.zero_sums, strict=True):
             mine = [(c.effect, c.key) == key for c in self.effect_coordinates]
-            row[first:] = np.array(mine, float) / np.sqrt(sum(mine))
+            row[self.of_effects] = np.array(mine, float) / np.sqrt(sum(mine))
         return rows
 
     @property

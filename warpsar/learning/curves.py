@@ -1,8 +1,11 @@
-"""Permittivities learned from measured curves of radar cross-section."""
+"""Surfaces learned from measured curves of radar cross-section: permittivities from curves alone, and curves beside
+images."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -10,12 +13,22 @@ import numpy as np
 
 from warpsar.coherent.left_out import left_out
 from warpsar.compare.curve import CurveComparison, compare_curves, content_of
+from warpsar.curves.noise import Noises, fit
 from warpsar.curves.observe import observe
+from warpsar.curves.observed import ObservedCurve
 from warpsar.curves.shape import ProfileInterval, likelihood, on_grid, profiles
 from warpsar.errors import InputError
+from warpsar.learning.coordinates import SceneCoordinates
+from warpsar.learning.geometry import freed
+from warpsar.learning.prior import Beside
 from warpsar.parameters.at import at
+from warpsar.runtime import once
 from warpsar.scene.scene import Scene
+from warpsar.world.curve import Curve
+from warpsar.world.mesh import read_mesh
 
+STEP = 1e-2  # of a coordinate, up and down
+KEPT = 50  # places whose curves are kept
 PASSES = 2
 POINTS = 9
 FIRST_REACH = 1.6
@@ -23,6 +36,106 @@ FIRST_REACH = 1.6
 
 Each further one reaches a third of its logarithm.
 """
+
+
+class CurvesBeside:
+    """The train curves of a scene beside its images, as a part of the same fit: what they say of x.
+
+    The noise is at its likeliest for each x, as where curves are fitted alone, so by the envelope theorem it adds
+    nothing to a gradient. Gradients are central differences, `STEP` of a coordinate to either side. The information
+    comes from those of the normal scores (`CurveComparison.residual`), which have the variance 1 where model and noise
+    are right.
+    """
+
+    def __init__(self, coordinates: SceneCoordinates, cache: Path | None = None, device: str | None = None) -> None:
+        """Of the coordinates' scene; `cache` as in `observe`. Raises InputError for a field that a curve's body has."""
+        scene = coordinates.scene
+        self._scene = replace(scene, curves=tuple(curve for curve in scene.curves if curve.role == "train"))
+        self._size, self._cache, self._device = coordinates.x0.size, cache, device
+        names = {name for curve in self._scene.curves for name in _materials_of(scene, curve)}
+        fields = [name for name in names if scene.materials[name].layout != "uniform"]
+        if fields:
+            raise InputError(
+                f"{scene.name}: curves: found {fields[0]}, whose values are a field; beside images the material of a "
+                f"curve must have one number for each"
+            )
+        own = [(place, one) for place, one in coordinates.numbers() if one.root == "materials" and one.owner in names]
+        self._elements = np.array([place for place, _ in own], int)
+        self._parameters = [one for _, one in own]
+        self._known: dict[bytes, tuple[float, list[ObservedCurve], Noises]] = {}
+
+    def value(self, x: np.ndarray) -> float:
+        """The negative log-likelihood at x."""
+        return float(once.find(lambda: self._at(x)[0]))
+
+    def gradient(self, x: np.ndarray) -> np.ndarray:
+        """d value / dx, shape (p,)."""
+        return np.asarray(once.find(lambda: self._slopes(x)[0]))
+
+    def information(self, x: np.ndarray) -> np.ndarray:
+        """Fisher information, shape (p, p)."""
+        return np.asarray(once.find(lambda: self._slopes(x)[1]))
+
+    def _at(self, x: np.ndarray) -> tuple[float, list[ObservedCurve], Noises]:
+        """The negative log-likelihood, the curves beside the model, and their noise; kept for each place."""
+        here = x[self._elements]
+        if here.tobytes() not in self._known:
+            values = zip(self._parameters, here, strict=True)
+            found = {one: one.transform.from_coordinate(float(coordinate)) for one, coordinate in values}
+            moved = replace(self._scene, materials=at(self._scene, found).materials)
+            curves = observe(moved, cache=self._cache, device=self._device)
+            fitted = fit(curves, self._scene.radar.terms)
+            if len(self._known) >= KEPT:
+                self._known.clear()
+            self._known[here.tobytes()] = -fitted.log_likelihood, curves, fitted.noise
+        return self._known[here.tobytes()]
+
+    def _slopes(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Gradient and information."""
+        gradient, scores = np.zeros(self._size), list[np.ndarray]()
+        _, curves, noise = self._at(x)
+        for element in self._elements:
+            ends = []
+            for sign in (1.0, -1.0):
+                moved = x.copy()
+                moved[element] += sign * STEP
+                value, beside, _ = self._at(moved)
+                ends.append((value, self._scores(beside, noise)))
+            (up, above), (down, below) = ends
+            gradient[element] = (up - down) / (2.0 * STEP)
+            scores.append((above - below) / (2.0 * STEP))
+        weight = np.concatenate([one.weight for one in curves])
+        information = np.zeros((self._size, self._size))
+        if scores:
+            slopes = np.stack(scores)
+            information[np.ix_(self._elements, self._elements)] = (slopes * weight) @ slopes.T
+        return gradient, information
+
+    def _scores(self, curves: Sequence[ObservedCurve], noise: Noises) -> np.ndarray:
+        """Normal scores of all rows beside a noise that stands."""
+        terms = self._scene.radar.terms
+        return np.concatenate([CurveComparison(one, terms, noise[one.polarization]).residual for one in curves])
+
+
+def curves_beside(scene: Scene, cache: Path | None, device: str | None) -> Callable[[SceneCoordinates], Beside] | None:
+    """What makes the train curves of a scene with images a part of its fit; None without any.
+
+    Raises InputError where the geometry is learned too: a curve's body may be the one that moves.
+    """
+    if not any(curve.role == "train" for curve in scene.curves):
+        return None
+    geometry = next(freed(scene), None)
+    if geometry is not None:
+        raise InputError(
+            f"{scene.name}: found curves, and {geometry.name} to learn; beside curves only surfaces and effects can be "
+            f"learned"
+        )
+    return partial(CurvesBeside, cache=cache, device=device)
+
+
+def _materials_of(scene: Scene, curve: Curve) -> Sequence[str]:
+    """The materials of a curve's body."""
+    return scene.mesh.materials if curve.mesh is None else read_mesh(curve.mesh).materials
 
 
 @dataclass(frozen=True)

@@ -9,12 +9,11 @@ import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 
 from warpsar.errors import WarpsarError
-from warpsar.io import checkpoint
+from warpsar.io.checkpoint import Checkpoint
 from warpsar.learning.adam import Adam, GraphAdam
 from warpsar.learning.metrics import pooled_metrics
 from warpsar.learning.optimise import FitState, begin, levenberg_marquardt
@@ -29,14 +28,13 @@ History = list[dict[str, float]]
 
 
 class FitRecord:
-    """How far a run has come, and where it is stored. `stored` is the checkpoint of an earlier part of it.
+    """How far a run has come, and where it is `kept`; it goes on from an earlier part of it. `tag` names the run
+    (`checkpoint.write`)."""
 
-    `tag` names the run (`checkpoint.write`); without a `folder` nothing is stored.
-    """
-
-    def __init__(self, folder: Path | None, tag: str, stored: dict[str, np.ndarray] | None) -> None:
-        self._folder, self._tag = folder, tag
-        stored = None if stored is None else dict(stored)
+    def __init__(self, kept: Checkpoint, tag: str) -> None:
+        self._kept, self._tag = kept, tag
+        found = kept.stored(tag)
+        stored = None if found is None else dict(found)
         self.history: History = [] if stored is None else json.loads(str(stored.pop("history")))
         spent = 0.0 if stored is None else float(stored.pop("spent_s"))
         self.state = None if stored is None else FitState.from_arrays(stored)
@@ -49,12 +47,12 @@ class FitRecord:
 
     def save(self) -> None:
         """Write the checkpoint."""
-        if self._folder is not None and self.state is not None:
-            once.write(partial(self._write, self._folder, self.state))
+        if self.state is not None:
+            self._kept.write(partial(self._arrays, self.state), self._tag)
 
-    def _write(self, folder: Path, state: FitState) -> None:
+    def _arrays(self, state: FitState) -> dict[str, np.ndarray]:
         extra = {"history": np.array(json.dumps(self.history)), "spent_s": np.array(self.seconds)}
-        checkpoint.write(folder, {**state.arrays(), **extra}, self._tag)
+        return {**state.arrays(), **extra}
 
 
 def descend(
@@ -103,7 +101,7 @@ def descend(
 def stand(
     problem: FitProblem, tests: FitProblem | None, options: LearnOptions, record: FitRecord, *, stoppable: bool
 ) -> tuple[FitState, str]:
-    """A run of no iteration, where nothing but poses or a learned term is learned: `descend` without a change."""
+    """A run of no iteration, where nothing but poses is learned: `descend` without a change."""
     x = problem.x0
     loss = problem.value(problem.modelled(x))
     record.state = FitState(x, loss, x, loss)
@@ -124,7 +122,8 @@ def states(problem: FitProblem, options: LearnOptions, state: FitState | None) -
                 state = levenberg_marquardt(problem, state)
                 yield state
         else:
-            graph = problem.shared_nodes is not None and not problem.effect_coordinates and problem.keeps_hits
+            surfaces_alone = problem.x0.size == problem.learned.size
+            graph = problem.shared_nodes is not None and surfaces_alone and problem.keeps_hits
             descent = (GraphAdam if graph and problem.scene.grid.calibrated else Adam)(problem, state, options.rate)
             while not state.arrived:
                 state = descent.step(state)

@@ -1,129 +1,122 @@
-"""Values on the device that no x holds: with a Gaussian prior, minimised over all train views by Warp's adjoint.
+"""Values that stand in arrays on the device as a part of x: tables of sigma0, and the weights of learned terms.
 
-A learned term's weights are such values, and so are those of a table of sigma0. They are sought in coordinates z of
-which the prior expects a standard normal distribution: then all have one scale.
+They are sought in coordinates z, of which the prior expects a standard normal distribution: then all have one scale.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import warp as wp
-from scipy.optimize import minimize
 
-from warpsar.errors import InputError
-from warpsar.learning.problem import FitProblem
-from warpsar.runtime import once
-from warpsar.scene.scene import Scene
+from warpsar.surface.stage import Stage
+from warpsar.world.models import TABLE
 
-MOST_STEPS = 200
-SEEN = (0.5, 99.5)  # percentiles of the hits' cos theta, between which a material counts as seen
+STEP = 1.0 / 30.0  # of what is expected of a value, up and down: 0.1 dB of a table, right to 1e-4 of a derivative
 
 
 @dataclass(frozen=True)
 class DeviceBlock:
-    """Values by channel, (channels, n), in the `rows` of a device array, where each channel fills all its `columns`.
+    """Values of a material by channel, (channels, n), in its rows of a device array, where each channel fills all its
+    `columns`.
 
-    Before any image they are `start` + z `unit`^T, with z of a standard normal distribution; `unit` is (n, n).
+    Before any image they are `start` + z `unit`^T, with z of a standard normal distribution; `unit` is (n, n). `key`
+    names the array: `TABLE` for that of tables [dB], `TERM` for that of learned terms.
     """
 
-    rows: slice
+    material: str
+    key: str
+    channels: Sequence[str]
     columns: list[list[int]]
     start: np.ndarray
     unit: np.ndarray
 
+    def array(self, stage: Stage) -> wp.array:
+        """The array that the values stand in."""
+        return self._arrays(stage)[0]
+
+    def rows(self, stage: Stage) -> slice:
+        """The material's rows of the array."""
+        first, count = self._arrays(stage)[1].numpy()[stage.surface.materials.index(self.material)].tolist()
+        return slice(first, first + count)
+
+    def _arrays(self, stage: Stage) -> tuple[wp.array, wp.array]:
+        """The values' array, and of each material its first row and how many it has."""
+        if self.key == TABLE:
+            assert stage.tables is not None
+            return stage.tables.sigma0_db, stage.tables.rows
+        assert stage.terms is not None
+        return stage.terms.weights, stage.terms.first
+
     def values(self, z: np.ndarray) -> np.ndarray:
-        """The values at z, (channels n,)."""
+        """The values at z, (channels, n)."""
         return np.asarray(self.start + z.reshape(self.start.shape) @ self.unit.T)
 
-    def slope(self, gradient: np.ndarray) -> np.ndarray:
-        """The gradient to z, (channels n,), from that to the device array."""
-        own = np.stack([gradient[self.rows, column].sum(axis=1) for column in self.columns])
-        return np.asarray((own @ self.unit).ravel())
+    def gradient(self, stage: Stage) -> np.ndarray:
+        """The gradient to the values, (channels, n), as the stage's array has it."""
+        own = self.array(stage).grad.numpy()[self.rows(stage)].astype(float)
+        return np.stack([own[:, column].sum(axis=1) for column in self.columns])
+
+    def sd(self, covariance: np.ndarray) -> np.ndarray:
+        """Standard deviations of the values, (channels, n), from the covariance of z, (channels n, channels n)."""
+        own = np.kron(np.eye(len(self.start)), self.unit)
+        return np.sqrt(np.diag(own @ covariance @ own.T)).reshape(self.start.shape)
+
+    def put(self, stage: Stage, values: np.ndarray) -> None:
+        """Write values, (channels, n), into the stage's array, whose other elements stay."""
+        everywhere, rows = self.array(stage).numpy().copy(), self.rows(stage)
+        for own, column in zip(values, self.columns, strict=True):
+            everywhere[rows, column] = own[:, None]
+        self.array(stage).assign(everywhere)
 
 
-def put(array: wp.array, blocks: Sequence[DeviceBlock], values: Sequence[np.ndarray]) -> None:
-    """Write each block's values, (channels, n), into the array, whose other elements stay."""
-    everywhere = array.numpy().copy()
-    for block, its in zip(blocks, values, strict=True):
-        for own, column in zip(its, block.columns, strict=True):
-            everywhere[block.rows, column] = own[:, None]
-    array.assign(everywhere)
+@dataclass(frozen=True)
+class DeviceValues:
+    """The blocks of a fit, one after the other in z, which begins at `start`, shape (n,)."""
 
+    blocks: tuple[DeviceBlock, ...] = ()
+    start: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
-def most_likely(
-    problem: FitProblem, array: wp.array, blocks: Sequence[DeviceBlock]
-) -> tuple[list[np.ndarray], np.ndarray, int]:
-    """The blocks' values and the x that minimise loss and priors together, which then stand, and the steps taken.
+    @classmethod
+    def of(cls, blocks: Sequence[DeviceBlock]) -> DeviceValues:
+        """With z at 0, where the prior expects it."""
+        return cls(tuple(blocks), np.zeros(sum(block.start.size for block in blocks)))
 
-    Where surfaces share pixels, values that are sought while x stands at a wrong start take up what x should explain
-    (benchmarks/turns.py). A field of many nodes stays as declared. `array` belongs to the problem's stage, and has no
-    gradient yet.
-    """
-    array.requires_grad = True
-    ends = np.cumsum([block.start.size for block in blocks])
-    moves = problem.uniform and not problem.variation.count
-    x0 = problem.x0[: problem.x0.size * moves]
+    @property
+    def labels(self) -> list[str]:
+        """A name for every element of z: material.key, with the channel and the number of the value."""
+        return [
+            f"{block.material}.{block.key}[{channel} {number}]"
+            for block in self.blocks
+            for channel in block.channels
+            for number in range(block.start.shape[1])
+        ]
 
-    def set_to(w: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
-        *parts, x = np.split(w, ends)
-        values = [block.values(part) for block, part in zip(blocks, parts, strict=True)]
-        put(array, blocks, values)
-        x = x if moves else problem.x0
-        problem.set_to(x)
-        return values, x
+    @property
+    def parts(self) -> Iterator[tuple[DeviceBlock, slice]]:
+        """Each block, with its part of z."""
+        first = 0
+        for block in self.blocks:
+            yield block, slice(first, first + block.start.size)
+            first += block.start.size
 
-    def loss_and_slope(w: np.ndarray) -> tuple[float, np.ndarray]:
-        _, x = set_to(w)
-        z = w[: ends[-1]]
-        total, slope, surface = 0.5 * float(z @ z), np.zeros(array.shape), np.zeros(problem.learned.size)
-        for view in problem.views:
-            if not problem.scene.grid.calibrated:
-                view.run_images()
-                gains = [problem.misfit.gain(*pair) for pair in zip(view.observations, view.modelled(), strict=True)]
-                view.gain.assign(np.array(gains, np.float32))
-            view.forward(gradient=True)
-            view.backward()
-            total += float(view.loss.numpy().sum() + view.outside.numpy().sum())
-            slope += array.grad.numpy()
-            surface += view.render.nodes.grad.numpy()[problem.learned]
-        to_z = z + np.concatenate([block.slope(slope) for block in blocks])
-        if not moves:
-            return total, to_z
-        to_x = np.concatenate([surface, problem.effect_slopes(x)]) + problem.prior.gradient(x)
-        return total + problem.prior.value(x), np.concatenate([to_z, to_x])
+    def on(self, stage: Stage) -> Stage:
+        """The stage with arrays of its own for the blocks' values, which take a gradient."""
+        keys = {block.key for block in self.blocks}
+        if TABLE in keys and stage.tables is not None:
+            stage = replace(stage, tables=stage.tables.copied())
+        if keys - {TABLE} and stage.terms is not None:
+            stage = replace(stage, terms=stage.terms.copied())
+        return stage
 
-    start: Any = np.concatenate([np.zeros(ends[-1]), x0])
-    low, high = problem.bounds
-    bounds: Any = [(-np.inf, np.inf)] * ends[-1] + list(zip(low, high, strict=True))[: x0.size]
-    options: Any = {"maxiter": MOST_STEPS}
-    done: Any = minimize(loss_and_slope, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
-    values, x = set_to(done.x)
-    return values, x, int(done.nit)
+    def put(self, stage: Stage, z: np.ndarray) -> None:
+        """Write the values at z into the stage's arrays."""
+        for block, part in self.parts:
+            block.put(stage, block.values(z[part]))
 
-
-def refuse_run(scene: Scene, name: str, key: str, folder: Path | None) -> Path:
-    """The folder for a material's new file. Raises InputError without one, and with several processes."""
-    if folder is None or once.processes() > 1:
-        why = "needs a folder for its file" if folder is None else f"found {once.processes()} processes; must be one"
-        raise InputError(f"{scene.name}: materials.{name}.learn: {key}: {why}")
-    return folder
-
-
-def seen_cosines(problem: FitProblem, name: str, key: str) -> np.ndarray:
-    """cos theta of all hits of a material. Raises InputError where there is none, or where they are not in memory."""
-    material = problem.surface.materials.index(name)
-    seen = []
-    for view in problem.views:
-        if not view.render.keeps_hits:
-            raise InputError(f"{problem.scene.name}: {key} is trained with all hits in memory; --max-memory is too low")
-        hits = view.render.whole.shaded
-        seen.append(hits.cos_incidence.numpy()[problem.stage.face_material.numpy()[hits.face.numpy()] == material])
-    cosines = np.concatenate(seen)
-    if not cosines.size:
-        raise InputError(f"{problem.scene.name}: materials.{name}.learn: {key}: no train view sees the material")
-    return cosines
+    def slope(self, stage: Stage) -> np.ndarray:
+        """The gradient to z, shape (n,), from those of the stage's arrays."""
+        found = [(block.gradient(stage) @ block.unit).ravel() for block in self.blocks]
+        return np.concatenate([np.zeros(0), *found])

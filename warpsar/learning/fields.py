@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import partial
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,7 @@ from scipy.sparse import csr_array
 
 from warpsar.io.images import replacing, write_exr
 from warpsar.learning.problem import FitProblem
-from warpsar.runtime import console, once
+from warpsar.runtime import console
 from warpsar.scene.beside import file_stem
 from warpsar.surface.samples import image_pixels
 from warpsar.surface.surface import KINDS, Block
@@ -65,10 +65,23 @@ def hit_slopes(problem: FitProblem, view_index: int, polarization: str) -> np.nd
     return render.zeta.grad.numpy().astype(float)
 
 
-def write_field_uncertainty(problem: FitProblem, x: np.ndarray, folder: Path) -> dict[str, Any]:
-    """Write the standard deviation (in the learned coordinate) and the number of views of each node of each field.
+@dataclass(frozen=True)
+class FieldUncertainty:
+    """Of one learned field, `stem` of its file: the standard deviation in the learned coordinate, and the number of
+    views that see it, of each node, shape (nodes,)."""
 
-    They are EXR maps for textures and NPY files for vertices, in `folder`. Returns a summary per field.
+    block: Block
+    stem: str
+    sd: np.ndarray
+    views: np.ndarray
+
+    def write(self, folder: Path) -> dict[str, Any]:
+        """An EXR map of a texture, an NPY file of vertices, in `folder`. Returns a summary."""
+        return _write(folder, self.stem, self.block, self.sd, self.views)
+
+
+def field_uncertainty(problem: FitProblem, x: np.ndarray) -> dict[str, FieldUncertainty]:
+    """What the views tell of each node of each field, by "material.key"; all processes call this.
 
     The Fisher information of the speckle is taken jointly over the parameters of one node. Neighbours are held, so the
     standard deviation is a lower bound; total variation is not counted. It is infinite for a node that no pixel sees.
@@ -78,10 +91,10 @@ def write_field_uncertainty(problem: FitProblem, x: np.ndarray, folder: Path) ->
     groups: dict[tuple[str, tuple[int, ...]], list[Block]] = {}
     for block in fields:
         groups.setdefault((block.material, block.shape), []).append(block)
-    summary: dict[str, Any] = {}
+    found: dict[str, FieldUncertainty] = {}
     if not problem.keeps_hits:
         console.say("fields: no standard deviations, which need the hits of all views at hand (--max-memory)")
-        return summary
+        return found
     for (material, _), group in groups.items():
         size, kinds = group[0].size, [KINDS.index(b.kind) for b in group]
         information = np.zeros((size, len(group), len(group)))
@@ -114,9 +127,8 @@ def write_field_uncertainty(problem: FitProblem, x: np.ndarray, folder: Path) ->
         sd = _sd(information)
         for i, block in enumerate(group):
             stem = file_stem(problem.surface.materials, material, block.kind.key)
-            said = once.write(partial(_write, folder, stem, block, sd[:, i], seen_in))
-            summary |= {} if said is None else {f"{material}.{block.kind.key}": said}
-    return summary
+            found[f"{material}.{block.kind.key}"] = FieldUncertainty(block, stem, sd[:, i], seen_in)
+    return found
 
 
 def _sd(information: np.ndarray) -> np.ndarray:

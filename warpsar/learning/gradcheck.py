@@ -36,7 +36,7 @@ class GradientCheck:
 
 
 def check_gradient(problem: FitProblem, x: np.ndarray) -> GradientCheck:
-    """Compare near x, along one random direction in each group of x: a material's or an effect's parameter.
+    """Compare near x, along one random direction in each group of x: a material's or an effect's parameter, a table.
 
     Where there are more than `CHECKS` groups, several share a direction.
     """
@@ -54,7 +54,8 @@ def check_gradient(problem: FitProblem, x: np.ndarray) -> GradientCheck:
         adjoint.append(float(gradient @ direction))
         slope, curvature = _differences(partial(_along, problem, x, direction), middle, adjoint[-1])
         numeric.append(slope)
-        least.append(AWAY * abs(curvature))
+        # a table or a term that the images do not tell still has its prior's curvature, which is 1
+        least.append(AWAY * (abs(curvature) + float(np.sum(direction[problem.of_values] ** 2))))
     difference = np.abs(np.array(adjoint) - np.array(numeric))
     scale = np.maximum(np.abs(numeric), least)
     scale = np.maximum(scale, 1e-3 * max(float(scale.max()), 1e-300))
@@ -93,4 +94,6 @@ def _groups(problem: FitProblem) -> list[np.ndarray]:
             start += block.size
     for index, c in enumerate(problem.effect_coordinates, start):
         groups.setdefault((c.effect, c.key), []).append(np.array([index]))
+    whole = np.arange(problem.x0.size)[problem.of_values]
+    groups |= {(block.material, block.key): [whole[part]] for block, part in problem.values.parts}
     return [np.concatenate(members) for members in groups.values()]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -102,12 +102,17 @@ def score_products(scaled: np.ndarray, autocovariance: np.ndarray, seen: Observa
     return (products + products.T) / 2.0
 
 
-def identify(problem: FitProblem, x: np.ndarray) -> Identified:
-    """Fisher information and intervals of a handful of parameters at the solution x; the prior counts with the data."""
+def identify(problem: FitProblem, x: np.ndarray, columns: Sequence[int] | None = None) -> Identified:
+    """Fisher information and intervals of a handful of parameters at the solution x; the prior counts with the data.
+
+    `columns`: the elements of x that move, and all others are held; by default all move.
+    """
     modelled = problem.modelled(x)
-    information, products = information_of(problem, modelled, problem.jacobian(x), x.size)
-    known = problem.prior.information(x)  # as of one more measurement, whose error is its own
-    return of_information(problem.labels, information + known, products + known, problem.zero_sum_means)
+    moved = list(range(x.size)) if columns is None else list(columns)
+    information, products = information_of(problem, modelled, problem.jacobian(x, columns), len(moved))
+    known = problem.prior.information(x)[np.ix_(moved, moved)]  # as of one more measurement, whose error is its own
+    labels = [problem.labels[k] for k in moved]
+    return of_information(labels, information + known, products + known, problem.zero_sum_means[:, moved])
 
 
 def information_of(
@@ -146,6 +151,23 @@ def of_information(
     reported = covariance.copy()
     np.fill_diagonal(reported, [_sd(row, covariance, unseen) ** 2 for row in np.eye(len(labels))])
     return Identified(labels, information, reported, products, values, vectors, describe(labels, covariance, unseen))
+
+
+def of_first(whole: Identified, size: int, known: np.ndarray) -> Identified:
+    """What `whole` says of the first `size` elements of x, whatever the others are, with its intervals for them.
+
+    The others have an information of their own, such as a prior, and go by Schur's complement: the inverse of what is
+    left is their part of the whole inverse. `known` as in `of_information`, shape (n, p).
+    """
+    first, rest = slice(0, size), slice(size, None)
+    f, s = whole.information, whole.products
+    along = np.linalg.solve(f[rest, rest], f[rest, first]).T
+    left = f[first, first] - along @ f[rest, first]
+    products = s[first, first] - along @ s[rest, first] - s[first, rest] @ along.T + along @ s[rest, rest] @ along.T
+    found = of_information(whole.labels[first], left, products, known[:, first])
+    if whole.ends is not None and whole.by_profile is not None:
+        found = replace(found, ends=whole.ends[first], by_profile=whole.by_profile[first])
+    return found
 
 
 def pseudo_inverse(information: np.ndarray, known: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:

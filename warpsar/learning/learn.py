@@ -1,12 +1,11 @@
-"""Measured images -> surface parameters: the whole fit, from a scene to what was learned."""
+"""Measured images, and curves beside them -> surface parameters: the whole fit, from a scene to what was learned."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
-from functools import partial
 from os import PathLike
 from pathlib import Path
 
@@ -18,24 +17,30 @@ from warpsar.compare.judgement import Judgement
 from warpsar.compare.metrics import PooledMetrics
 from warpsar.compare.observation import looks_of
 from warpsar.errors import InputError, WarpsarError, refuse_kind
-from warpsar.io import checkpoint
+from warpsar.io.checkpoint import Checkpoint
+from warpsar.learning.coordinates import SceneCoordinates
+from warpsar.learning.curves import curves_beside
 from warpsar.learning.descent import FitRecord, History, descend, stand
+from warpsar.learning.device_values import DeviceValues
 from warpsar.learning.gradcheck import GradientCheck, check_gradient
-from warpsar.learning.identify import Identified, identify
+from warpsar.learning.identify import Identified, identify, of_first
 from warpsar.learning.learned_objects import LearnedObjects, learned_objects
+from warpsar.learning.metrics import pooled_metrics
 from warpsar.learning.options import LearnOptions, refuse_options, refuse_starts
+from warpsar.learning.prior import Beside
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.profiles import with_profiles
 from warpsar.learning.pull import Pull, pulls
 from warpsar.learning.results import learned_scene
-from warpsar.learning.table import LearnedTable, with_learned_tables
-from warpsar.learning.term import Trained, as_asked, with_trained_terms
+from warpsar.learning.table import LearnedTable, tables_to_learn, with_tables
+from warpsar.learning.term import Trained, as_asked, seen_cosines, with_untrained_terms
 from warpsar.learning.trust import doubts, outside_domains, worse
 from warpsar.runtime import console, devices, once
 from warpsar.scene.scene import Scene, scene_or_file
 from warpsar.simulation.rays import Rays
 from warpsar.simulation.sampling import RAY_NOISE, Density, choose_density
 from warpsar.surface.stage import Stage
+from warpsar.world.models import TABLE, TERM
 from warpsar.world.world import lacks_images
 
 
@@ -103,50 +108,67 @@ def learn(
     """Fit the materials' learnable parameters, and the declared effects' unless they are held, to the `train` views.
 
     With `folder` the run keeps a checkpoint there, and `resume` goes on from it. Each of several processes
-    holds a share of the views; all return the same, and the first one writes. A learned term or a table
-    that a material's `learn` names is fitted together with all numbers, and then held, while these are fitted on.
+    holds a share of the views; all return the same, and the first one writes. Learned terms and tables
+    that materials' `learn` names are a part of x beside all numbers.
     Raises InputError for scenes that cannot be learned from, and WarpsarError where the gradient check fails.
     """
     scene = scene_or_file(scene)
     options = options or LearnOptions()
     refuse_kind(options, LearnOptions, "options")
     refuse_starts(scene)
-    declared = asked = scene
+    asked = scene
     where = devices.resolve_device(device)
     once.join(where)
     folder = None if folder is None else Path(folder)
-    if folder is not None and once.restarts() == 0 and not resume:
-        once.write(partial(checkpoint.remove, folder))  # of an earlier run: torchrun's restarts shall find this one's
+    kept = Checkpoint(folder, resume)
 
     def prepared(one: Scene) -> FitProblem:
         problem, _ = prepare(one, where, options)
-        refuse_options(problem, options)  # before a term or a table is learned and written
+        refuse_options(problem, options)  # before a term is begun
         return problem
 
-    declared, terms = with_trained_terms(asked, folder, prepared)
-    declared, tables = with_learned_tables(declared, folder, prepared, options.loss)
-    poses = once.agree(lambda: learned_objects(declared, where, options.loss))
+    cache = None if folder is None else folder / "cache"
+    beside = curves_beside(scene, cache, where.alias)
+    declared, terms = with_untrained_terms(asked, folder, prepared)
+    tables = tables_to_learn(declared, folder, options.loss)
+    blocks = [term.block(name) for name, term in terms.items()] + [table.block(name) for name, table in tables.items()]
+    values = DeviceValues.of(blocks)
+    poses = once.agree(lambda: learned_objects(declared, where, options.loss, values))
     scene = declared if poses is None else poses.scene
-    problem, density = once.agree(lambda: prepare(scene, where, options, shared=True))
-    if not problem.x0.size and poses is None and not terms and not tables:
+    values = values if poses is None else poses.found.values
+    problem, density = once.agree(lambda: prepare(scene, where, options, shared=True, values=values, beside=beside))
+    if not problem.x0.size and poses is None:
         raise InputError(
             f"{scene.name}: materials: nothing to learn: every `learn` is empty, and no effect's parameter is fitted"
         )
     refuse_options(problem, options)
+    cosines = {name: seen_cosines(problem, name, TABLE) for name in tables}
     check = _checked(problem) if problem.x0.size else GradientCheck(0.0, 0)
     tests = once.agree(lambda: _test_problem(scene, where, options, problem, density))
-    record = _record(declared, options, folder, resume)
+    record = FitRecord(kept, _tag(declared, options))
     runs = descend if problem.x0.size else stand
     state, stopped = runs(problem, tests, options, record, stoppable=folder is not None)
-    if (terms or tables) and not problem.x0.size:
-        stopped = f"nothing but {'a learned term' if terms else 'a table'} is learned"
     x = np.asarray(state.best_x)
+    whole, covariance = _determined(problem, x, poses)
+    fit = (
+        {"before": _as_given(problem), "after": pooled_metrics(problem, x), "steps": state.iteration}
+        if values.blocks
+        else {}
+    )
+    trained, learned = dict[str, Trained](), dict[str, LearnedTable]()
+    for block, part in values.parts:
+        name, its = block.material, block.values(x[problem.of_values][part])
+        if block.key == TERM:
+            trained[name] = terms[name].trained(its, **fit)
+        else:
+            material = f"{scene.name}: materials.{name}.learn"
+            sd = block.sd(covariance[part, part])
+            learned[name] = tables[name].learned(material, its, sd, cosines[name], **fit)
     written = once.write(lambda: learned_scene(problem, x, folder))
-    final = as_asked(written or learned_scene(problem, x), asked, terms)
-    before, after = (evaluated(one, where, progress="compare") for one in (asked, final))
+    final = with_tables(as_asked(written or learned_scene(problem, x), asked, terms), learned)
+    before, after = (evaluated(one, where, progress="compare", cache=cache) for one in (asked, final))
     domains = outside_domains(problem, x)
-    identified = _identified(problem, x, poses)
-    pulled = [*pulls(problem, x, identified), *([] if poses is None else poses.found.pulls)]
+    pulled = [*pulls(problem, x, whole), *([] if poses is None else poses.found.pulls)]
     return Learned(
         scene=final,
         x=x,
@@ -156,27 +178,57 @@ def learn(
         stopped=stopped,
         gradient_check=check,
         density=density,
-        identified=identified,
+        identified=whole if whole is None or not values.blocks else _of_numbers(problem, whole),
         domains=domains,
         before=before,
         after=after,
         worse=once.find(lambda: worse(before.images, after.images)),
         pulls=pulled,
-        doubts=[*doubts(problem, x, after.verdicts, domains), *(one.words for one in pulled if one.alarm)],
+        doubts=[
+            *doubts(problem, x, after.verdicts, domains),
+            *(f"{role} curves: {one.words}" for role, one in after.curve_verdicts.items() if one.wrong),
+            *(one.words for one in pulled if one.alarm),
+        ],
         problem=problem,
         objects=poses,
-        terms=terms,
-        tables=tables,
+        terms=trained,
+        tables=learned,
     )
 
 
-def _identified(problem: FitProblem, x: np.ndarray, poses: LearnedObjects | None) -> Identified | None:
-    """What the data tell about x, and not about fields; poses that were fitted along widen it."""
-    if not problem.uniform or not x.size:
-        return None
+def _determined(
+    problem: FitProblem, x: np.ndarray, poses: LearnedObjects | None
+) -> tuple[Identified | None, np.ndarray]:
+    """What the data tell about x, and not about fields; poses that were fitted along widen it. Second, the covariance
+    of the coordinates of tables and terms, beside which fields are held."""
+    own = problem.of_values
+    if not x.size:
+        return None, np.zeros((0, 0))
+    if not problem.uniform:
+        if own.start == own.stop:
+            return None, np.zeros((0, 0))
+        return None, identify(problem, x, list(range(own.start, own.stop))).covariance
     found = identify(problem, x)
-    # a profile beside moving objects would trace them at each step: there the standard deviation says it all
-    return with_profiles(problem, x, found) if poses is None else poses.widened(found)
+    # a profile beside moving objects would trace them at each step, and one beside curves would sweep the rays of their
+    # bodies: there the standard deviation says it all
+    if poses is not None:
+        found = poses.widened(found)
+    elif problem.prior.beside is None:
+        found = with_profiles(problem, x, found)
+    return found, found.covariance[own, own]
+
+
+def _of_numbers(problem: FitProblem, whole: Identified) -> Identified | None:
+    """What is said of surfaces and effects; None without any."""
+    size = problem.of_values.start
+    return of_first(whole, size, problem.zero_sum_means) if size else None
+
+
+def _as_given(problem: FitProblem) -> dict[str, float]:
+    """Metrics at the start, with all tables as given and terms of nothing."""
+    x = problem.x0.copy()
+    x[problem.of_values] = 0.0
+    return pooled_metrics(problem, x)
 
 
 def _checked(problem: FitProblem) -> GradientCheck:
@@ -194,20 +246,17 @@ def _checked(problem: FitProblem) -> GradientCheck:
     return check
 
 
-def _record(scene: Scene, options: LearnOptions, folder: Path | None, resume: bool) -> FitRecord:
-    """The run as it stands: at its beginning, or with `resume` at its checkpoint."""
-    tag = _tag(scene, options)
-    stored = None if folder is None or not resume else once.find(partial(checkpoint.read, folder, tag))
-    if resume and stored is None:
-        console.say("--resume: there is no checkpoint; the run starts afresh")
-    return FitRecord(folder, tag, stored)
-
-
 def prepare(
-    scene: Scene, device: wp.Device, options: LearnOptions, *, shared: bool = False
+    scene: Scene,
+    device: wp.Device,
+    options: LearnOptions,
+    *,
+    shared: bool = False,
+    values: DeviceValues | None = None,
+    beside: Callable[[SceneCoordinates], Beside] | None = None,
 ) -> tuple[FitProblem, Density]:
-    """The fit problem of the train views, with as many rays as the looks of the images ask for. `shared` as in
-    `FitProblem`."""
+    """The fit problem of the train views, with as many rays as the looks of the images ask for. `shared`, `values` and
+    `beside` as in `FitProblem`."""
     views = [v for v in scene.views if v.role == "train" and v.images]
     if not views:
         raise lacks_images(scene, "train")
@@ -228,6 +277,8 @@ def prepare(
         validity=options.validity,
         shared=shared,
         max_memory_gib=options.max_memory_gib,
+        values=values,
+        beside=beside,
     )
     for name, (number, estimated, zeros) in problem.of_each(lambda s: (s.looks, s.looks_estimated, s.zeros)).items():
         if estimated:
@@ -251,6 +302,7 @@ def _test_problem(
         rays=Rays(problem.stage, density.rays_per_m2, scene.sampling.seed),
         shared=True,
         max_memory_gib=options.max_memory_gib,
+        values=problem.values,
     )
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from warpsar.learning.device_values import DeviceValues
 from warpsar.learning.geometry import freed
 from warpsar.learning.glints import with_glints
 from warpsar.learning.identify import Identified
@@ -46,19 +47,22 @@ class LearnedObjects:
         return replace(identified, covariance=np.maximum(covariance, identified.covariance)) if same else identified
 
 
-def learned_objects(scene: Scene, device: wp.Device, loss: str) -> LearnedObjects | None:
+def learned_objects(
+    scene: Scene, device: wp.Device, loss: str, values: DeviceValues | None = None
+) -> LearnedObjects | None:
     """Fit what is to be learned of objects, views and image; None where there is nothing.
 
-    Surfaces and effects are fitted along, unless they are fields. Raises InputError as `find_poses` does.
+    Surfaces, effects and `values`, tables and learned terms, are fitted along, unless surfaces are fields. Raises
+    InputError as `find_poses` does.
     """
     if next(freed(scene), None) is None:
         return None
     fields = any(block.learn and block.size > 1 for block in Surface.of(scene).blocks)
-    found = find_poses(scene, device, loss=loss, held=fields)
+    found = find_poses(scene, device, loss=loss, held=fields, values=values)
     if any(one.glint for one in scene.objects):
         with_points = with_glints(found.scene, device, loss)
         console.say(f"glints: {len(with_points.objects) - len(scene.objects)} of {len(scene.objects)} bodies")
-        found = find_poses(with_points, device, loss=loss, held=fields, search=False)
+        found = find_poses(with_points, device, loss=loss, held=fields, search=False, values=found.values)
     console.say(f"geometry: log-likelihood up by {found.gain:.4g}")
     return LearnedObjects(found.scene, found)
 

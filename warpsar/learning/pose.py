@@ -1,4 +1,4 @@
-"""Surface parameters, effects and geometry together: images, derivatives, and a descent.
+"""Surface parameters, effects, tables, learned terms and geometry together: images, derivatives, and a descent.
 
 A derivative to a pose needs two renders of each view, and nothing of what a fit records beside them. So only the hits
 are traced anew, and only where a body can change the image. The power before the image stage is enough: a body changes
@@ -18,6 +18,7 @@ import warp as wp
 from warpsar.compare.observation import Observation
 from warpsar.effects.base.effect import DeclaredEffect
 from warpsar.effects.registry import declared, get
+from warpsar.learning.device_values import DeviceValues
 from warpsar.learning.geometry import Geometry
 from warpsar.learning.identify import Identified, of_information, score_products
 from warpsar.learning.pose_sharing import Box, boxes, columns_of, faces_about, shared
@@ -104,7 +105,7 @@ def _of_the_grid(
 
 
 class PosedProblem:
-    """A fit problem whose geometry moves. x holds the surface's and the effects' coordinates, then the geometry's [m].
+    """A fit problem whose geometry moves. x holds that of `FitProblem`, and then the geometry's coordinates [m].
 
     `observations`, by view name, are the same for every pose. Images have exact areas, without rays, so that
     differences of them are their derivatives, silhouettes and shadows included. `prior` is what the scene knows of
@@ -124,6 +125,7 @@ class PosedProblem:
         bound: float = 0.0,
         forward: bool = False,
         rough: bool = False,
+        values: DeviceValues | None = None,
     ) -> None:
         """`held`: nothing moves but the poses. `level` [beta0]: how much of the floor was added to the measurement.
         `bound` is that of the loss, as in `FitProblem`. `forward`: changes by poses are forward differences, of half as
@@ -135,7 +137,7 @@ class PosedProblem:
         foot would trade otherwise: a body sunk into the ground looks like a lower one.
         """
         self.scene, self.device, self.loss, self._seen = scene, device, loss, observations
-        self.geometry, self.level, self.bound = Geometry(scene), level, bound
+        self.geometry, self.level, self.bound, self.values = Geometry(scene), level, bound, values
         self.forward, self.rough = forward or rough, rough
         self._kept: OrderedDict[bytes, FitProblem] = OrderedDict()
         self._changes: tuple[np.ndarray, list[np.ndarray]] | None = None  # x, and d(mu) / dp there of each observation
@@ -165,7 +167,7 @@ class PosedProblem:
         for k in self.stood:
             c = self.geometry.coordinates[k - self.size]
             known.append(Known(c.label, k, c.value(0.0), STANDS_M, "m", c.value, c.per_metre))
-        self.prior = Prior(known, self.prior.size)
+        self.prior = Prior(known, self.prior.size, self.prior.standard)
 
     def standing(self, p: np.ndarray) -> FitProblem:
         """The plain fit problem with the objects at p."""
@@ -191,6 +193,7 @@ class PosedProblem:
             rays=rays,
             observations=self._seen,
             bound=self.bound,
+            values=self.values,
         )
 
     def split(self, x: np.ndarray) -> tuple[FitProblem, np.ndarray]:

@@ -13,6 +13,7 @@ import warp as wp
 
 from warpsar.compare.observation import Observation
 from warpsar.errors import InputError
+from warpsar.learning.device_values import DeviceValues
 from warpsar.learning.geometry import freed, still
 from warpsar.learning.identify import Identified
 from warpsar.learning.pose import Descended, PosedProblem, descend
@@ -46,7 +47,7 @@ class FoundPoses:
     `scene`: the scene with them, and with the surface and effects that were fitted along. `loss`: where the fit ended,
     with its priors. `size`: how many numbers of poses moved. `identified`: information on everything that was fitted,
     poses last [m at the objects' edges]. `words`: what cannot be told apart. `pulls`: every number of a pose or size
-    that is known to a tolerance, before and after.
+    that is known to a tolerance, before and after. `values`: the tables and terms that were fitted along.
     """
 
     scene: Scene
@@ -56,6 +57,7 @@ class FoundPoses:
     numbers: dict[str, dict[str, Any]]
     identified: Identified
     words: list[str]
+    values: DeviceValues
     without: Callable[[], float] = field(repr=False)
     """Fits surface and effects with nothing moved; returns that fit's loss."""
     pulls: list[Pull] = field(default_factory=list)
@@ -82,6 +84,7 @@ class PoseSearch:
     standing: Collection[str]
     gain: float
     known: Mapping[str, float]
+    values: DeviceValues
 
     def finish(self) -> FoundPoses:
         """The likeliest geometry of the sharp images, from where the search ended."""
@@ -97,9 +100,15 @@ class PoseSearch:
             numbers(problem, end.x, identified),
             identified,
             [*problem.geometry.held, *_words(problem, identified)],
+            self._values_at(problem, end.x),
             self._loss_without,
             [pull for pull in pulls(problem, end.x, identified) if pull.label in tolerated],
         )
+
+    def _values_at(self, problem: PosedProblem, x: np.ndarray) -> DeviceValues:
+        """The tables and terms at an x of the problem."""
+        inner, rest = problem.split(x)
+        return replace(self.values, start=rest[inner.of_values])
 
     def descended(self, blur_m: float) -> tuple[PosedProblem, Descended]:
         """The problem of images blurred by `blur_m`, and where it ends from what is known.
@@ -116,6 +125,7 @@ class PoseSearch:
             level=both.level,
             standing=self.standing,
             forward=blur_m > 0.0,
+            values=self.values,
         )
         x0 = zip(problem.labels, problem.x0, strict=True)
         start = np.array([self.known.get(label, value) for label, value in x0])
@@ -139,14 +149,15 @@ def find_poses(
     search: bool = True,
     held: bool = False,
     standing: Collection[str] = (),
+    values: DeviceValues | None = None,
 ) -> FoundPoses:
     """Fit what `learn` of the scene's objects, views and image frees, with surface and effects unless they are `held`.
 
     `views`: names of the views to use; by default those with role train. `observations`, by view name: frozen pixels
     that other models are compared on; by default those that the scene as given lights. `search`: begin with blurred
     images, which find an object from 3 m, 20 degrees and 20 % away. `standing`: labels of objects whose foot stays at
-    its height, where their own is learned. Raises InputError where nothing of the geometry is to be learned, and for
-    views without images.
+    its height, where their own is learned. `values`: tables and learned terms to fit along. Raises InputError where
+    nothing of the geometry is to be learned, and for views without images.
     """
     begun = search_poses(
         scene,
@@ -157,6 +168,7 @@ def find_poses(
         blurs_m=SEARCH_BLUR_M if search else (),
         held=held,
         standing=standing,
+        values=values,
     )
     return begun.finish()
 
@@ -171,6 +183,7 @@ def search_poses(
     blurs_m: Sequence[float] = SEARCH_BLUR_M,
     held: bool = False,
     standing: Collection[str] = (),
+    values: DeviceValues | None = None,
 ) -> PoseSearch:
     """The search on blurred images that `find_poses` begins with, and goes on from (`PoseSearch.finish`)."""
     if next(freed(scene), None) is None:
@@ -178,7 +191,7 @@ def search_poses(
             f"{scene.name}: found no object, view, [radar] or [image] with `learn`; at least one must state it"
         )
     pixels, gains = lit_pixels(scene, device, loss, views, observations)
-    found = PoseSearch(scene, device, pixels, gains, loss, held, standing, 0.0, {})
+    found = PoseSearch(scene, device, pixels, gains, loss, held, standing, 0.0, {}, values or DeviceValues())
     for blur_m in blurs_m:
         blurred, there = found.descended(blur_m)
         gain = blurred.value(blurred.x0) - there.loss if blur_m == blurs_m[-1] else 0.0

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import warp as wp
@@ -44,28 +44,47 @@ class Known:
         return (float(self.value(float(x[self.at]))) - self.about) / self.sd
 
 
+class Beside(Protocol):
+    """What was measured beside the images and depends on x too, such as curves of RCS: its negative log-likelihood."""
+
+    def value(self, x: np.ndarray) -> float:
+        """The negative log-likelihood at x."""
+
+    def gradient(self, x: np.ndarray) -> np.ndarray:
+        """d value / dx, shape (p,)."""
+
+    def information(self, x: np.ndarray) -> np.ndarray:
+        """Fisher information, shape (p, p)."""
+
+
 class Prior:
     """The known elements of an x of `size` elements.
 
     Elements that share an error are correlated: with it, of standard deviation s, each is known to
     sd^2 = own^2 + s^2, and two of them have the covariance s^2. Deviations are then those of independent numbers
     (`whitening`), so half the sum of their squares stays the prior's negative logarithm.
+
+    Elements at `standard` are expected to have a standard normal distribution: their deviations, behind those of the
+    known, are their values. `beside` counts in the value, the gradient and the information.
     """
 
-    def __init__(self, known: Sequence[Known], size: int) -> None:
-        self.known, self.size = tuple(known), size
+    def __init__(
+        self, known: Sequence[Known], size: int, standard: slice = slice(0, 0), beside: Beside | None = None
+    ) -> None:
+        self.known, self.size, self.standard, self.beside = tuple(known), size, standard, beside
 
     @classmethod
     def of(cls, coordinates: SceneCoordinates | None, geometry: Geometry | None = None) -> Prior:
         """What a scene's tables know of its fitted numbers; those of its `geometry` come last. None: they are held."""
         known: list[Known] = []
-        size = 0
+        size, standard = 0, slice(0, 0)
         if coordinates is not None:
             known, size = list(_of_shading(coordinates)), coordinates.x0.size
+            standard = coordinates.of_values
         if geometry is not None:
             known += _of_geometry(geometry, size)
             size += len(geometry.coordinates)
-        return cls(known, size)
+        return cls(known, size, standard)
 
     @cached_property
     def whitening(self) -> np.ndarray | None:
@@ -82,30 +101,36 @@ class Prior:
     def deviations(self, x: np.ndarray | DeviceX) -> np.ndarray:
         """(value - about) / sd of every known element, shape (k,); independent of each other."""
         found = np.array([one.deviation(np.asarray(x)) for one in self.known], float)
-        return found if self.whitening is None else self.whitening @ found
+        found = found if self.whitening is None else self.whitening @ found
+        return found if self.standard.start == self.standard.stop else np.append(found, np.asarray(x)[self.standard])
 
     def slopes(self, x: np.ndarray | DeviceX) -> np.ndarray:
         """d deviations / dx, shape (k, p)."""
         found = np.zeros((len(self.known), self.size))
         for row, one in zip(found, self.known, strict=True):
             row[one.at] = float(one.slope(float(np.asarray(x)[one.at]))) / one.sd
-        return found if self.whitening is None else self.whitening @ found
+        found = found if self.whitening is None else self.whitening @ found
+        return np.concatenate([found, np.eye(self.size)[self.standard]])
 
     def value(self, x: np.ndarray | DeviceX) -> float:
         """What the prior adds to the loss: half the squared deviations."""
-        return 0.5 * float(np.sum(self.deviations(x) ** 2))
+        own = 0.5 * float(np.sum(self.deviations(x) ** 2))
+        return own if self.beside is None else own + self.beside.value(np.asarray(x))
 
     def gradient(self, x: np.ndarray | DeviceX) -> np.ndarray:
         """d value / dx, shape (p,)."""
-        return self.deviations(x) @ self.slopes(x)
+        own = self.deviations(x) @ self.slopes(x)
+        return own if self.beside is None else own + self.beside.gradient(np.asarray(x))
 
     def information(self, x: np.ndarray | DeviceX) -> np.ndarray:
         """Fisher information of the prior, shape (p, p): its curvature without the bend of the coordinates."""
         slopes = self.slopes(x)
-        return slopes.T @ slopes
+        own = slopes.T @ slopes
+        return own if self.beside is None else own + self.beside.information(np.asarray(x))
 
     def push(self, x: np.ndarray, places: Sequence[np.ndarray], step: float) -> np.ndarray:
-        """The deviations' second derivative along a line, as a force on x, shape (p,).
+        """The deviations' second derivative along a line, as a force on x, shape (p,); what is `beside` is taken to be
+        straight.
 
         The two `places` lie one and two shares `step` of the line from x.
         """
@@ -114,8 +139,10 @@ class Prior:
         return bend @ self.slopes(x)
 
     def narrowed(self, moved: np.ndarray, x: np.ndarray) -> np.ndarray:
-        """Random moves from x, shape (p,), with those of known elements within their tolerance."""
+        """Random moves from x, shape (p,), with those of known elements within their tolerance. Values of tables and
+        terms do not move: with all else held they have one minimum, and it is found from anywhere."""
         found = moved.copy()
+        found[self.standard] = 0.0
         for one in self.known:
             found[one.at] = moved[one.at] / max(1.0, abs(float(one.slope(float(x[one.at])))) / one.sd)
         return found

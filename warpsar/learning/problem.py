@@ -24,9 +24,10 @@ from warpsar.errors import InputError
 from warpsar.kernels import loss as loss_kernels
 from warpsar.kernels import metrics as metrics_kernels
 from warpsar.learning.coordinates import DeviceX, EffectCoordinate, SceneCoordinates
+from warpsar.learning.device_values import DeviceValues
 from warpsar.learning.held import views_held, with_render
 from warpsar.learning.misfit import Misfit
-from warpsar.learning.prior import DevicePrior, Prior, refuse_prior
+from warpsar.learning.prior import Beside, DevicePrior, Prior, refuse_prior
 from warpsar.learning.roughness import FieldPrior, Roughness, TotalVariation
 from warpsar.learning.view import FitView, Move, Nodes, ViewJacobian
 from warpsar.render.render import ViewRender
@@ -85,6 +86,7 @@ class FitProblem(SceneCoordinates):
     whatever is per observation belong to this process alone; sums and x belong to all views (`chosen`). `over_views`
     makes a sum over `observations` one over all views.
     `bound` is that of the gamma loss (`speckle.likelihood.bounded`). `roughness` is expected of the learned fields.
+    `values`: tables and learned terms that are a part of x. `beside` makes of x what was measured beside the images.
     `max_memory_gib` bounds what the hits of this process's views take (by default `memory.default_gib`). Views beyond
     it are traced again, in bands, whenever their image is needed; `bands` has their number by view name.
     """
@@ -105,19 +107,23 @@ class FitProblem(SceneCoordinates):
         max_memory_gib: float | None = None,
         bound: float = 0.0,
         roughness: Roughness | None = None,
+        values: DeviceValues | None = None,
+        beside: Callable[[SceneCoordinates], Beside] | None = None,
     ) -> None:
         chosen = [v for v in scene.views if v.role in roles and v.images and (views is None or v.name in views)]
         if not chosen:
             raise lacks_images(scene, *roles)
-        super().__init__(scene, chosen)
+        super().__init__(scene, chosen, values)
         self.prior = Prior.of(self)
+        if beside is not None:
+            self.prior = Prior(self.prior.known, self.x0.size, self.prior.standard, beside(self))
         if roughness is not None:
             self.prior = FieldPrior(self.prior.known, self.x0.size, roughness)
         refuse_prior(self.prior, loss, scene.name)
         self.device, self.loss = device, loss
         self._ranks = ranks = join(device) if shared else ONE
         rays = rays or Rays(Stage.of(scene, device), seed=scene.sampling.seed)
-        self.stage = replace(rays.stage, surface=self.surface)
+        self.stage = self.values.on(replace(rays.stage, surface=self.surface))
         mine, self.bands = views_held(scene, chosen, rays, ranks, max_memory_gib)
         self.misfit = Misfit(loss, self._mean_square(mine), scene.grid.calibrated, bound)
         # CUDA: all views read and differentiate one array; CPU: a copy each, so that threads never share a gradient
@@ -125,12 +131,15 @@ class FitProblem(SceneCoordinates):
             None if device.is_cpu else wp.zeros(self.surface.nodes.size, dtype=float, device=device, requires_grad=True)
         )
         given = observations or {}
+        self._stages: dict[str, Stage] = {}  # of the views
 
         def opened(view: View) -> FitView:
             def use(render: Rendered, effects: list[DeclaredEffect]) -> FitView:
                 return FitView(scene, view, render, effects, given.get(view.name), self.misfit, validity)
 
-            return with_render(use, scene, self.stage, rays, view, self.bands.get(view.name), self.shared_nodes)
+            stage = self.values.on(self.stage)  # threads never share a gradient
+            self._stages[view.name] = stage
+            return with_render(use, scene, stage, rays, view, self.bands.get(view.name), self.shared_nodes)
 
         self.views: list[FitView] = ranks.agree(lambda: [opened(view) for view in mine])
         # once for all processes
@@ -139,6 +148,7 @@ class FitProblem(SceneCoordinates):
         self.prior_on_device = DevicePrior(self.prior, self, device, counts=ranks.first)
         self._penalised = validity > 0.0 or self.variation.count > 0
         self._linearised: tuple[bytes, list[np.ndarray], list[np.ndarray]] | None = None
+        self._standing_values = b""  # the tables and terms on the device
         self._replayed = False  # whether a graph may make images anew without a word
         self.streams = Streams(device, len(self.views))
 
@@ -155,11 +165,20 @@ class FitProblem(SceneCoordinates):
 
         Views in bands make their renders anew, and need the nodes on the host.
         """
+        if self.values.blocks:
+            self._put_values(np.asarray(x)[self.of_values])
         if self.shared_nodes is not None:
             self.fill(self.shared_nodes, x)
             if all(view.render.keeps_hits for view in self.views):
                 return None
         return self.float_nodes(x)
+
+    def _put_values(self, z: np.ndarray) -> None:
+        """Give all views the tables and terms at z."""
+        if z.tobytes() != self._standing_values:
+            for stage in (self.stage, *self._stages.values()):
+                self.values.put(stage, z)
+            self._standing_values = z.tobytes()
 
     def _values(self, view: FitView, tables: Mapping[str, Mapping[str, Any]]) -> dict[str, np.ndarray]:
         """The values of every effect's parameters in a view."""
@@ -179,7 +198,9 @@ class FitProblem(SceneCoordinates):
 
     def _surface_at(self, x: np.ndarray | DeviceX) -> bytes | None:
         """What tells the surface from any other; None where images may be made anew without a word."""
-        return None if isinstance(x, DeviceX) or self._replayed else x[: self.learned.size].tobytes()
+        if isinstance(x, DeviceX) or self._replayed:
+            return None
+        return x[: self.learned.size].tobytes() + x[self.of_values].tobytes()
 
     def _run_view(
         self,
@@ -290,8 +311,8 @@ class FitProblem(SceneCoordinates):
         self._run_with_losses(x, gradient=True)
         surface = self._surface_gradient(x)
         loss = self.loss_on_device()
-        effects = self.effect_slopes(x)
-        whole = np.concatenate([surface, self._ranks.sum(effects)]) if effects.size else surface
+        rest = np.concatenate([self.effect_slopes(x), *self._value_slopes()])
+        whole = np.concatenate([surface, self._ranks.sum(rest)]) if x.size > surface.size else surface
         return loss + self.prior.value(x), whole + self.prior.gradient(x)
 
     def _surface_gradient(self, x: np.ndarray) -> np.ndarray:
@@ -314,8 +335,16 @@ class FitProblem(SceneCoordinates):
 
     def effect_slopes(self, x: np.ndarray) -> np.ndarray:
         """The derivative of this process's loss to the effects' part of x, after a backward run of each view."""
-        places = zip(self.effect_coordinates, x[self.learned.size :], strict=True)
+        places = zip(self.effect_coordinates, x[self.of_effects], strict=True)
         return np.array([self._effect_slope(c, at) for c, at in places], float)
+
+    def _value_slopes(self) -> list[np.ndarray]:
+        """The derivative of this process's loss to the coordinates of tables and terms, after a backward run of each
+        view; nothing without any."""
+        if not self.values.blocks:
+            return []
+        slopes = (self.values.slope(self._stages[view.view.name]) for view in self.views)
+        return [sum(slopes, np.zeros(self.values.start.size))]
 
     def _effect_slope(self, c: EffectCoordinate, at: float) -> float:
         """The derivative of this process's loss to one effect's coordinate."""
@@ -499,15 +528,21 @@ class FitProblem(SceneCoordinates):
         nodes = Nodes(np.array(places, int), self.learned[[columns[place] for place in places]])
         moved = []
         for place, column in enumerate(columns):
-            if column >= self.learned.size:
+            if self.of_effects.start <= column < self.of_effects.stop:
                 up, down = self._ends(x, column)
                 moved.append((place, self.effect_tables(up), self.effect_tables(down), up[column] - down[column]))
+        z = x[self.of_values]
+        of_values = [(place, c - self.of_values.start) for place, c in enumerate(columns) if c >= self.of_values.start]
 
         def one(view: FitView, maker: ViewJacobian) -> tuple[list[np.ndarray], list[np.ndarray]]:
             values = self._values(view, tables)
             self._run_view(view, shared, values, surface, gradient=bool(places))
             moves = [Move(p, self._values(view, up), self._values(view, down), width) for p, up, down, width in moved]
-            return maker.dense(values, nodes, moves, len(columns))
+            found = maker.dense(values, nodes, moves, len(columns))
+            for where, own in zip(found[1], maker.to_values(self.values, z) if of_values else (), strict=False):
+                for place, element in of_values:
+                    where[:, place] = own[:, element]
+            return found
 
         tasks = [partial(one, view, maker) for view, maker in zip(self.views, makers, strict=True)]
         found = list(threads.ordered(tasks, self.device))

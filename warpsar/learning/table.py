@@ -6,22 +6,17 @@ incidence, so that a row which no image has seen follows its neighbours a little
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import warp as wp
-from scipy.linalg import block_diag
 
 from warpsar.errors import InputError
 from warpsar.io.figures import new
-from warpsar.learning.device_values import SEEN, DeviceBlock, most_likely, put, refuse_run, seen_cosines
-from warpsar.learning.identify import information_of
-from warpsar.learning.metrics import pooled_metrics
-from warpsar.learning.problem import FitProblem
-from warpsar.learning.term import Prepared
+from warpsar.learning.device_values import DeviceBlock
+from warpsar.learning.term import SEEN, refuse_run
 from warpsar.scene.beside import file_stem
 from warpsar.scene.scene import Scene
 from warpsar.world import sigma0_table
@@ -34,7 +29,6 @@ if TYPE_CHECKING:
 SPREAD_DB = 3.0  # expected of a value about the table as given
 WIDTH_DEG = 10.0  # over which the differences from it are alike
 ROW_DB = 0.25  # by which a row differs from what is smooth
-STEP_DB = 0.1  # up and down, of differences of images: they are right to 1e-4
 DECIMALS = 4  # of a value [dB] in the file
 
 
@@ -43,7 +37,7 @@ class LearnedTable:
     """A table and its `file`, beside the one that was `given`; `sd_db`, by learned channel, each (rows,).
 
     `seen_deg`: the incidences between which images saw the material. `before` and `after`: pooled metrics of the
-    `train` views by the fit's own rays, with all tables as given and as learned, and the `steps` that it took.
+    `train` views by the fit's own rays, with all tables as given and as learned, and the fit's iterations, `steps`.
     """
 
     file: Path
@@ -78,135 +72,74 @@ class LearnedTable:
         }
 
 
-def with_learned_tables(
-    scene: Scene, folder: Path | None, prepared: Prepared, loss: str
-) -> tuple[Scene, dict[str, LearnedTable]]:
-    """The scene with the learned tables of the materials that ask for it, and what was found; all tables at once.
+@dataclass(frozen=True)
+class TableToLearn:
+    """A table as `given`, and the `file` that the learned one is written to; `channels` are learned."""
 
-    Numbers of other materials and of effects move along, and fields are held as they are declared. Files go into
-    `folder`, after the fit. Raises InputError without a folder, with several processes, with a `loss` that is no
-    likelihood, where a table itself lies in its place, where no view sees a material, and for images that no table
-    explains.
+    given: Sigma0Table
+    file: Path
+    channels: Sequence[str]
+
+    def block(self, material: str) -> DeviceBlock:
+        """The table's values, as a part of x, with what is expected of them.
+
+        The covariance is SPREAD^2 exp(-(difference of incidence / WIDTH)^2 / 2), and ROW^2 of each row alone.
+        """
+        apart = (self.given.incidence_deg[:, None] - self.given.incidence_deg) / WIDTH_DEG
+        covariance = SPREAD_DB**2 * np.exp(-0.5 * apart**2) + ROW_DB**2 * np.eye(len(apart))
+        columns = [self.given.filled(channel) for channel in self.channels]
+        start = np.stack([self.given.sigma0_db[channel] for channel in self.channels])
+        return DeviceBlock(material, TABLE, self.channels, columns, start, np.linalg.cholesky(covariance))
+
+    def learned(self, where: str, values: np.ndarray, sd: np.ndarray, cosines: np.ndarray, **fit: Any) -> LearnedTable:
+        """The table with `values` +- `sd`, (channels, rows), where hits of `cosines` see it; `fit` as `LearnedTable`.
+
+        Raises InputError for values beyond what a table may have; the message begins with `where`.
+        """
+        values = np.round(values, DECIMALS)
+        if not (np.abs(values) <= LARGEST_DB).all():
+            raise InputError(
+                f"{where}: {TABLE}: the images say {values.flat[np.abs(values).argmax()]:.0f} dB; must be within "
+                f"-{LARGEST_DB:g} and {LARGEST_DB:g} dB"
+            )
+        found = self.given.sigma0_db | dict(zip(self.channels, values, strict=True))
+        low, high = np.percentile(np.degrees(np.arccos(np.clip(cosines, 0.0, 1.0))), SEEN)
+        known = dict(zip(self.channels, sd, strict=True))
+        table = replace(self.given, sigma0_db=found)
+        return LearnedTable(self.file, self.given, table, known, (float(low), float(high)), **fit)
+
+
+def tables_to_learn(scene: Scene, folder: Path | None, loss: str) -> dict[str, TableToLearn]:
+    """The tables of the materials that ask for one to be learned, by material.
+
+    Raises InputError without a folder, with several processes, with a `loss` that is no likelihood, and where a table
+    itself lies in its place.
     """
-    files = {}
+    found = {}
+    channels = [c for c in sigma0_table.CHANNELS if c in {"HV" if p == "VH" else p for p in scene.radar.polarizations}]
     for name, material in scene.materials.items():
         if TABLE not in material.learn or material.sigma0 is None:
             continue
         stem = file_stem(tuple(scene.materials), name, TABLE)
-        files[name] = (refuse_run(scene, name, TABLE, folder) / f"{stem}.csv").resolve()
-        if files[name] == material.sigma0.resolve():
-            raise InputError(f"--out: found {files[name].parent}, where {stem}.csv itself would be replaced")
-    if not files:
-        return scene, {}
-    if loss == "mse":
+        file = (refuse_run(scene, name, TABLE, folder) / f"{stem}.csv").resolve()
+        if file == material.sigma0.resolve():
+            raise InputError(f"--out: found {file.parent}, where {stem}.csv itself would be replaced")
+        found[name] = TableToLearn(sigma0_table.read(Path(material.sigma0)), file, channels)
+    if found and loss == "mse":
         raise InputError(
             f'--loss: found mse and learn = ["{TABLE}"]; allowed are gamma and log, because mse is no log-likelihood '
             f"that the table as given could be weighed with"
         )
-    found = _learned(prepared(scene), files)
-    for name, one in found.items():
-        one.found.write(one.file)
-        material = scene.materials[name].model_copy(update={TABLE: one.file})
-        scene = replace(scene, materials=scene.materials | {name: material})
-    return scene, found
-
-
-def _learned(problem: FitProblem, files: dict[str, Path]) -> dict[str, LearnedTable]:
-    tables = problem.stage.tables
-    assert tables is not None
-    angles = {n: np.degrees(np.arccos(np.clip(seen_cosines(problem, n, TABLE), 0.0, 1.0))) for n in files}
-    given = {name: sigma0_table.read(Path(str(problem.scene.materials[name].sigma0))) for name in files}
-    polarizations = problem.scene.radar.polarizations
-    channels = [c for c in sigma0_table.CHANNELS if c in polarizations or (c == "HV" and "VH" in polarizations)]
-    blocks = [
-        _block(one, channels, tables.rows.numpy()[problem.surface.materials.index(n)]) for n, one in given.items()
-    ]
-    before = pooled_metrics(problem, problem.x0)
-    values, x, steps = most_likely(problem, tables.sigma0_db, blocks)
-    values = [np.round(one, DECIMALS) for one in values]
-    for name, its in zip(files, values, strict=True):
-        if not (np.abs(its) <= LARGEST_DB).all():
-            raise InputError(
-                f"{problem.scene.name}: materials.{name}.learn: {TABLE}: the images say "
-                f"{its.flat[np.abs(its).argmax()]:.0f} dB; must be within -{LARGEST_DB:g} and {LARGEST_DB:g} dB"
-            )
-    put(tables.sigma0_db, blocks, values)
-    after = pooled_metrics(problem, x)
-    seen = [_seen_rows(one.incidence_deg, angles[name]) for name, one in given.items()]
-    deviations = _deviations(problem, tables.sigma0_db, blocks, values, seen)
-    found = {}
-    for (name, one), its, sd in zip(given.items(), values, deviations, strict=True):
-        learned = replace(one, sigma0_db=one.sigma0_db | dict(zip(channels, its, strict=True)))
-        low, high = np.percentile(angles[name], SEEN)
-        known = dict(zip(channels, sd, strict=True))
-        found[name] = LearnedTable(files[name], one, learned, known, (float(low), float(high)), before, after, steps)
     return found
 
 
-def _block(given: Sigma0Table, channels: Sequence[str], rows: np.ndarray) -> DeviceBlock:
-    """The values of a table, which has the (first, count) `rows` on the device, with what is expected of them.
-
-    The covariance is SPREAD^2 exp(-(difference of incidence / WIDTH)^2 / 2), and ROW^2 of each row alone.
-    """
-    apart = (given.incidence_deg[:, None] - given.incidence_deg) / WIDTH_DEG
-    covariance = SPREAD_DB**2 * np.exp(-0.5 * apart**2) + ROW_DB**2 * np.eye(len(apart))
-    columns = [given.filled(channel) for channel in channels]
-    start = np.stack([given.sigma0_db[channel] for channel in channels])
-    return DeviceBlock(slice(int(rows[0]), int(rows.sum())), columns, start, np.linalg.cholesky(covariance))
-
-
-def _seen_rows(incidence_deg: np.ndarray, seen_deg: np.ndarray) -> np.ndarray:
-    """Whether a hit lies between a row and its neighbour, (rows,)."""
-    below = np.clip(np.searchsorted(incidence_deg, seen_deg, side="right") - 1, 0, incidence_deg.size - 2)
-    seen = np.zeros(incidence_deg.size, bool)
-    seen[below] = seen[below + 1] = True
-    return seen
-
-
-def _deviations(
-    problem: FitProblem,
-    array: wp.array,
-    blocks: Sequence[DeviceBlock],
-    values: list[np.ndarray],
-    seen: list[np.ndarray],
-) -> list[np.ndarray]:
-    """Standard deviations [dB] of each block's values, (channels, rows), which stand in the array.
-
-    The covariance is that of `identify`, F^-1 S F^-1, where the prior counts as one more measurement in both.
-    """
-    moved = np.flatnonzero(np.concatenate([np.tile(rows, len(one)) for rows, one in zip(seen, values, strict=True)]))
-    unit = block_diag(*(block.unit for block in blocks for _ in block.columns))
-    modelled = problem.modelled_as_declared()
-    slopes = _slopes(problem, array, blocks, values, moved)
-    if not problem.scene.grid.calibrated:
-        weights = [c.weight for c in problem.curvatures(modelled)]
-        slopes = (j - np.average(j, axis=0, weights=w) for j, w in zip(slopes, weights, strict=True))
-    parts = information_of(problem, modelled, slopes, moved.size)
-    information, products = (unit[moved].T @ part @ unit[moved] + np.eye(len(unit)) for part in parts)
-    inverse = np.linalg.inv(information)
-    sd = np.sqrt(np.diag(unit @ inverse @ products @ inverse @ unit.T))
-    ends = np.cumsum([one.size for one in values])
-    return [part.reshape(one.shape) for part, one in zip(np.split(sd, ends[:-1]), values, strict=True)]
-
-
-def _slopes(
-    problem: FitProblem, array: wp.array, blocks: Sequence[DeviceBlock], values: list[np.ndarray], moved: np.ndarray
-) -> Iterator[np.ndarray]:
-    """d ln(beta0) / d value [1 / dB] of each observation, (pixels, moved): central differences of the images."""
-    flat, ends = np.concatenate([one.ravel() for one in values]), np.cumsum([one.size for one in values])
-    for view in problem.views:
-        columns = []
-        for place in moved:
-            images = []
-            for step in (STEP_DB, -STEP_DB):
-                at = flat.copy()
-                at[place] += step
-                parts = np.split(at, ends[:-1])
-                put(array, blocks, [part.reshape(one.shape) for part, one in zip(parts, values, strict=True)])
-                view.run_images()
-                images.append(view.modelled())
-            columns.append([np.log(up / down) / (2.0 * STEP_DB) for up, down in zip(*images, strict=True)])
-        yield from (np.stack(each, axis=1) for each in zip(*columns, strict=True))
+def with_tables(scene: Scene, learned: Mapping[str, LearnedTable]) -> Scene:
+    """The scene with tables that were learned, which are written."""
+    for name, one in learned.items():
+        one.found.write(one.file)
+        material = scene.materials[name].model_copy(update={TABLE: one.file})
+        scene = replace(scene, materials=scene.materials | {name: material})
+    return scene
 
 
 COLOURS = {"HH": "C0", "VV": "C1", "HV": "C2"}

@@ -1,8 +1,8 @@
 """The learned term of a material's sigma0, trained through the renderer from the measured images.
 
 Its units stand at the material's own eps, h and l, steps of incidence apart, over what the images have seen of it. The
-weights minimise the loss of all `train` views, with the size that is expected of the term as their prior: what
-`scattering_term.learned` does for a table, here by Warp's adjoint of the images to the weights.
+weights are a part of x, with the size that is expected of the term as their prior: what `scattering_term.learned` does
+for a table, here from images.
 """
 
 from __future__ import annotations
@@ -14,10 +14,11 @@ from typing import Any
 
 import numpy as np
 
+from warpsar.errors import InputError
 from warpsar.kernels.codes import Polarization
-from warpsar.learning.device_values import SEEN, DeviceBlock, most_likely, refuse_run, seen_cosines
-from warpsar.learning.metrics import pooled_metrics
+from warpsar.learning.device_values import DeviceBlock
 from warpsar.learning.problem import FitProblem
+from warpsar.runtime import once
 from warpsar.scene.beside import file_stem
 from warpsar.scene.scene import Scene
 from warpsar.surface.surface import KEYS
@@ -27,6 +28,7 @@ from warpsar.world.scattering_term import DB, ScatteringTerm
 WIDTH = (0.1, 1.0, 1.0, 1.0)  # of a unit: cos theta, ln kh, ln kl, ln(eps - 1)
 SPREAD_DB = 3.0
 NOISE_DB = 0.25
+SEEN = (0.5, 99.5)  # percentiles of the hits' cos theta, between which a material counts as seen
 
 Prepared = Callable[[Scene], FitProblem]
 """The fit problem of a scene's `train` views."""
@@ -34,7 +36,7 @@ Prepared = Callable[[Scene], FitProblem]
 
 @dataclass(frozen=True)
 class Trained:
-    """A term and its `file`; pooled metrics of the `train` views without and with it, and the steps that it took."""
+    """A term and its `file`; pooled metrics of the `train` views without and with it, and the fit's iterations."""
 
     term: ScatteringTerm
     file: Path
@@ -54,64 +56,65 @@ class Trained:
         }
 
 
-def taught(scene: Scene) -> list[str]:
-    """The materials whose `learn` names the learned term."""
-    return [name for name, material in scene.materials.items() if TERM in material.learn]
+@dataclass(frozen=True)
+class UntrainedTerm:
+    """A term without weights yet, and its `file`."""
+
+    term: ScatteringTerm
+    file: Path
+
+    def block(self, material: str) -> DeviceBlock:
+        """The weights, as a part of x."""
+        term, channels = self.term, list(self.term.weights)
+        columns = [[int(p) for p in Polarization if ("HV" if p.crossed else p.name) == c] for c in channels]
+        root = np.linalg.cholesky(term.units(term.places) + (NOISE_DB / SPREAD_DB) ** 2 * np.eye(len(term.places)))
+        unit = np.linalg.inv(root).T * (SPREAD_DB / DB)
+        return DeviceBlock(material, TERM, channels, columns, np.zeros((len(channels), len(unit))), unit)
+
+    def trained(self, weights: np.ndarray, **fit: Any) -> Trained:
+        """The term with its weights, (channels, n), which is written; `fit` as `Trained` has it."""
+        term = replace(self.term, weights=dict(zip(self.term.weights, weights, strict=True)))
+        term.save(self.file)
+        return Trained(term, self.file, **fit)
 
 
-def with_trained_terms(scene: Scene, folder: Path | None, prepared: Prepared) -> tuple[Scene, dict[str, Trained]]:
-    """The scene with a trained term in each material that asks for one, one after the other, and what was found.
+def with_untrained_terms(
+    scene: Scene, folder: Path | None, prepared: Prepared
+) -> tuple[Scene, dict[str, UntrainedTerm]]:
+    """The scene with a term without weights in each material whose `learn` names one, and these.
 
-    The materials' eps, h and l are held, and what effects declare. Files go into `folder`. Raises InputError without
-    one, with several processes, and where a view's hits do not fit into memory.
+    The materials' eps, h and l are held. Files go into `folder`. Raises InputError without one, with several processes,
+    and where a view's hits do not fit into memory.
     """
-    found = {}
-    for name in taught(scene):
+    wanted = [name for name, material in scene.materials.items() if TERM in material.learn]
+    begun: dict[str, UntrainedTerm] = {}
+    channels: list[str] = sorted({"HV" if one == "VH" else one for one in scene.radar.polarizations})
+    for name in wanted:
         folder = refuse_run(scene, name, TERM, folder)
         folder.mkdir(parents=True, exist_ok=True)
-        found[name] = _trained(
-            scene, name, folder / f"{file_stem(tuple(scene.materials), name, 'term')}.json", prepared
-        )
-        scene = _with_file(scene, name, found[name].file)
-    return scene, found
-
-
-def _with_file(scene: Scene, name: str, file: Path) -> Scene:
-    material = scene.materials[name].model_copy(update={TERM: file.resolve(), "learn": ()})
-    return replace(scene, materials=scene.materials | {name: material})
+        file = folder / f"{file_stem(tuple(scene.materials), name, 'term')}.json"
+        none = {c: np.zeros(1) for c in channels}
+        model, place = scene.materials[name].model, np.zeros((1, len(WIDTH)))
+        begun[name] = UntrainedTerm(ScatteringTerm(model, place, np.array(WIDTH), none, SPREAD_DB, NOISE_DB), file)
+        begun[name].term.save(file)
+        held = scene.materials[name].model_copy(update={TERM: file.resolve(), "learn": ()})
+        scene = replace(scene, materials=scene.materials | {name: held})
+    if not begun:
+        return scene, {}
+    problem = prepared(scene)
+    for name, one in begun.items():
+        places = _places(problem, name)
+        used = {c: np.ones(len(places), bool) for c in channels}
+        none = {c: np.zeros(len(places)) for c in channels}
+        begun[name] = replace(one, term=replace(one.term, places=places, weights=none, used=used))
+        begun[name].term.save(one.file)
+    return scene, begun
 
 
 def as_asked(final: Scene, asked: Scene, terms: Collection[str]) -> Scene:
     """The learned scene, whose materials with a trained term ask for it again."""
     again = {name: final.materials[name].model_copy(update={"learn": asked.materials[name].learn}) for name in terms}
     return replace(final, materials=final.materials | again)
-
-
-def _trained(scene: Scene, name: str, file: Path, prepared: Prepared) -> Trained:
-    channels: list[str] = sorted({"HV" if one == "VH" else one for one in scene.radar.polarizations})
-    model = scene.materials[name].model
-    start = np.zeros((1, len(WIDTH)))
-    empty = ScatteringTerm(model, start, np.array(WIDTH), {c: np.zeros(1) for c in channels}, SPREAD_DB, NOISE_DB)
-    empty.save(file)
-    places = _places(prepared(_with_file(scene, name, file)), name)
-    used = {c: np.ones(len(places), bool) for c in channels}
-    none = {c: np.zeros(len(places)) for c in channels}
-    term = replace(empty, places=places, weights=none, used=used)
-    term.save(file)
-    problem = prepared(_with_file(scene, name, file))
-    before = pooled_metrics(problem, problem.x0)
-    columns = [[int(p) for p in Polarization if ("HV" if p.crossed else p.name) == c] for c in channels]
-    assert problem.stage.terms is not None
-    first = int(problem.stage.terms.first.numpy()[problem.surface.materials.index(name), 0])
-    root = np.linalg.cholesky(term.units(places) + (NOISE_DB / SPREAD_DB) ** 2 * np.eye(len(places)))
-    unit = np.linalg.inv(root).T * (SPREAD_DB / DB)
-    start = np.zeros((len(channels), len(places)))
-    block = DeviceBlock(slice(first, first + len(places)), columns, start, unit)
-    [weights], x, steps = most_likely(problem, problem.stage.terms.weights, [block])
-    term = replace(term, weights=dict(zip(channels, weights, strict=True)))
-    term.save(file)
-    after = pooled_metrics(problem, x)
-    return Trained(term, file, before, after, steps)
 
 
 def _places(problem: FitProblem, name: str) -> np.ndarray:
@@ -123,3 +126,26 @@ def _places(problem: FitProblem, name: str) -> np.ndarray:
     eps, height, length = (float(np.median(problem.surface.values(name, key))) for key in KEYS[:3])
     here = [np.log(wavenumber * height), np.log(wavenumber * length), np.log(eps - 1.0)]
     return np.column_stack([middle, np.tile(here, (count, 1))])
+
+
+def refuse_run(scene: Scene, name: str, key: str, folder: Path | None) -> Path:
+    """The folder for a material's new file. Raises InputError without one, and with several processes."""
+    if folder is None or once.processes() > 1:
+        why = "needs a folder for its file" if folder is None else f"found {once.processes()} processes; must be one"
+        raise InputError(f"{scene.name}: materials.{name}.learn: {key}: {why}")
+    return folder
+
+
+def seen_cosines(problem: FitProblem, name: str, key: str) -> np.ndarray:
+    """cos theta of all hits of a material. Raises InputError where there is none, or where they are not in memory."""
+    material = problem.surface.materials.index(name)
+    seen = []
+    for view in problem.views:
+        if not view.render.keeps_hits:
+            raise InputError(f"{problem.scene.name}: {key} is trained with all hits in memory; --max-memory is too low")
+        hits = view.render.whole.shaded
+        seen.append(hits.cos_incidence.numpy()[problem.stage.face_material.numpy()[hits.face.numpy()] == material])
+    cosines = np.concatenate(seen)
+    if not cosines.size:
+        raise InputError(f"{problem.scene.name}: materials.{name}.learn: {key}: no train view sees the material")
+    return cosines

@@ -72,7 +72,9 @@ def _at_bounds(problem: FitProblem, x: np.ndarray) -> list[str]:
         elif count:
             found.append(f"{block.material}.{block.kind.key} lies on a bound in {count} of {block.size} nodes")
         at += block.size
-    for c, value, bound in zip(problem.effect_coordinates, x[at:], on_bound[at:], strict=True):
+    for c, value, bound in zip(
+        problem.effect_coordinates, x[problem.of_effects], on_bound[problem.of_effects], strict=True
+    ):
         if bound:
             found.append(f"{c.label} lies on its bound, {float(c.declared.from_coordinate(value)):g}")
     return found

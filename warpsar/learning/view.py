@@ -18,6 +18,7 @@ from warpsar.effects.base.effect import DeclaredEffect
 from warpsar.kernels import loss as loss_kernels
 from warpsar.kernels import metrics as metrics_kernels
 from warpsar.kernels.codes import Layout
+from warpsar.learning.device_values import STEP, DeviceBlock, DeviceValues
 from warpsar.learning.misfit import Misfit
 from warpsar.render.render import ViewRender
 from warpsar.render.rendered import Rendered, Replayed
@@ -190,6 +191,7 @@ class ViewJacobian:
     def __init__(self, view: FitView, render: ViewRender) -> None:
         self._view, self._render = view, render
         self._tangents = Tangents(render)
+        self._seen_values: dict[tuple[str, str], np.ndarray] = {}  # by material and key
         places = render.stage.surface.places
         self._uniform = np.zeros(render.stage.surface.nodes.size, bool)
         self._uniform[places[places[:, :, 0] == Layout.UNIFORM][:, 1]] = True
@@ -225,6 +227,48 @@ class ViewJacobian:
                     rows[move.column] = np.log(a / b) / move.width
                 self._render.set_parameters(None, {n: values[n] for n in moved})
         return modelled, [rows.T for rows in found]
+
+    def to_values(self, values: DeviceValues, z: np.ndarray) -> list[np.ndarray]:
+        """d ln(mu) / dz of each observation, shape (n, z), float64: differences of the images by each value that the
+        view sees, at all other parameters as they stand.
+
+        The images stand for nothing after a call; the stage's values are those of z.
+        """
+        view, stage = self._view, self._render.stage
+        found = [np.zeros((seen.count, z.size)) for seen in view.observations]
+        seen_values = [self._seen(block) for block in values.blocks]
+        view.leave()
+        self._render.program.part(self._render.images.values()).forward()
+        for (block, part), seen_ones in zip(values.parts, seen_values, strict=True):
+            array, at = block.array(stage), block.values(z[part])
+            images = self._render.program.part(self._render.images.values(), [array])
+            own = [np.zeros((seen.count, *at.shape)) for seen in view.observations]
+            steps = STEP * np.linalg.norm(block.unit, axis=1)
+            for channel, row in zip(*np.nonzero(seen_ones), strict=True):
+                ends = []
+                for sign in (1.0, -1.0):
+                    moved = at.copy()
+                    moved[channel, row] += sign * steps[row]
+                    block.put(stage, moved)
+                    images.forward()
+                    ends.append(view.modelled())
+                for slopes, up, down in zip(own, *ends, strict=True):
+                    slopes[:, channel, row] = np.log(up / down) / (2.0 * steps[row])
+            block.put(stage, at)
+            images.forward()
+            for whole, slopes in zip(found, own, strict=True):
+                whole[:, part] = (slopes @ block.unit).reshape(len(slopes), -1)
+        return found
+
+    def _seen(self, block: DeviceBlock) -> np.ndarray:
+        """Which of a block's values the view's images depend on, (channels, n) bool: not one at an incidence that no
+        hit has."""
+        if (block.material, block.key) not in self._seen_values:
+            program = self._render.program
+            program.forward(gradient=True)
+            program.backward(dict.fromkeys(self._render.images.values(), 1.0))
+            self._seen_values[block.material, block.key] = block.gradient(self._render.stage) != 0.0
+        return self._seen_values[block.material, block.key]
 
     def _images(self, values: Values, stale: Sequence[wp.array]) -> list[np.ndarray]:
         """Modelled beta0 at other `values`, where the arrays `stale` changed since the last full run."""

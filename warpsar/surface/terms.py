@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +25,10 @@ class Terms:
     """vec4, (units,)"""
     weights: wp.array
     """float, (units, polarizations)"""
+
+    def copied(self) -> Terms:
+        """The same, with weights of its own, which take a gradient."""
+        return replace(self, weights=wp.clone(self.weights, requires_grad=True))
 
     @classmethod
     def of(cls, files: Sequence[Path | None], device: wp.Device) -> Terms | None:

@@ -14,9 +14,15 @@ TABLE = "sigma0"
 """What `learn` calls the values of a material's table."""
 
 
+def keys_of(model: str, among: Sequence[str] | None = None) -> tuple[str, ...]:
+    """The keys that sigma0 of a model depends on, in the order of the model; those `among` some keys, in theirs."""
+    own = registry.get(model).keys
+    return own if among is None else tuple(key for key in among if key in own)
+
+
 def needless(model: str, key: str) -> bool:
     """Whether a material with this model may leave the value out."""
-    return model != DEFAULT and key not in registry.get(model).keys
+    return model != DEFAULT and key not in keys_of(model)
 
 
 def refusals(material: Any, stated: set[str]) -> list[str]:
@@ -37,7 +43,7 @@ def refusals(material: Any, stated: set[str]) -> list[str]:
         found += _not_learned(model, material.learn)
     for key, one in registry.own_parameters().items():
         if key not in model.keys and getattr(material, key) != one.default:
-            having = _quoted("model = ", [name for name in registry.names() if key in registry.get(name).keys])
+            having = _quoted("model = ", [name for name in registry.names() if key in keys_of(name)])
             found.append(f"found {key} and {named}; allowed with {having} alone")
     default = f'allowed with model = "{DEFAULT}" alone'
     if material.specular_fraction != 0.0 and "specular_fraction" not in model.keys:

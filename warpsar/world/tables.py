@@ -432,8 +432,7 @@ class Material(_WithOwn):
         if found := models.refusals(self, self.model_fields_set):
             raise ValueError("; ".join(found))
         if "learn" not in self.model_fields_set and self.model != DEFAULT:
-            learned = tuple(key for key in self.learn if key in registry.get(self.model).keys)
-            self.__dict__["learn"] = learned  # the default, as far as the model has it
+            self.__dict__["learn"] = models.keys_of(self.model, self.learn)  # the default, as far as the model has it
         return self
 
     @property

@@ -99,11 +99,8 @@ class World:
 
     @property
     def has_curves_alone(self) -> bool:
-        """Whether curves are all that was measured. Raises InputError for curves and images, which no fit takes
-        together."""
-        if self.curves and self.has_images:
-            raise InputError(f"{self.name}: found curves and images; must have one of them where something is fitted")
-        return bool(self.curves)
+        """Whether curves are all that was measured."""
+        return bool(self.curves) and not self.has_images
 
     def measured(self, view: View, polarization: str) -> NDArray[np.float32]:
         """The measured image: beta0, linear power, shape (rows, cols); NaN where it is not finite."""

@@ -41,7 +41,7 @@ def run(
     words = ["warpsar", "diagnose", str(scene_path), "-o", str(out), "--device", where.alias, "--folds", str(folds)]
     once.join(where)
     tag = tag_of(scene, {"command": "diagnose", "version": __version__, "folds": folds})
-    log = open_run_log(out, tag, resume or bool(once.restarts()))
+    log = open_run_log(out, tag, resume)
     result = once.agree(lambda: held_out(scene, where, folds, log, time_limit_s))
 
     def write() -> dict[str, Any]:

@@ -12,8 +12,8 @@ from warpsar.diagnosis.proposals.fit import Standing, TrialGround, alone
 from warpsar.diagnosis.proposals.left_out import explained
 from warpsar.diagnosis.proposals.places import BodyPlace
 from warpsar.diagnosis.proposals.shapes import TrialBody
-from warpsar.models import registry
 from warpsar.scene.scene import Scene
+from warpsar.world import models
 from warpsar.world.tables import Material
 
 QUICK_STEPS, QUICK_FLAT = 10, 1.0  # of a descent that only compares
@@ -136,8 +136,7 @@ def _with(ground: TrialGround, shape: TrialBody, material: Material) -> Scene:
 def _free(shape: TrialBody, material: Material) -> tuple[str, ...]:
     """What is free of a body's material: what the shape names, as far as the model has it, else the model's own; of a
     table its level alone."""
-    has = registry.get(material.model).keys
-    return tuple(key for key in shape.learn if key in has) or has
+    return models.keys_of(material.model, shape.learn) or models.keys_of(material.model)
 
 
 def _tidied(ground: TrialGround, scene: Scene) -> Scene:

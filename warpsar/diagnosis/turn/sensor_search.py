@@ -51,8 +51,8 @@ def worth_a_fit(screened: Sequence[Hypothesis], price: float, least: float) -> l
 
 
 def hypotheses(declared: Scene, here: Fitted) -> list[Hypothesis]:
-    """Every hypothesis that the model has not taken yet: angles of each view and of all, and both spacings. A view whose
-    azimuth was taken may have another incidence, too."""
+    """Every hypothesis that the model has not taken yet: angles of each view and of all, and both spacings. A view
+    whose azimuth was taken may have another incidence, too."""
     views = _views(here)
     asked = [one for change in sensor_changes() for one in change.hypotheses(declared, here.scene, views)]
     changed = [change.changed(declared, here.scene) for change in sensor_changes()]
