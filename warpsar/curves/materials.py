@@ -1,10 +1,13 @@
 """Whether measured curves show another material than a part of the body is declared to have.
 
 Each hypothesis changes the material of one part. Its model is asked like a term (`search.py`): the train curves must
-pay for it beside the declared one, the test curves must gain by two standard errors, with the noise of the train
-curves, and neither polarization may lose by two standard errors. It must also be likelier than a constant level. A part
-may be `open`, too: nothing is known then of what comes back from it but a level, which its area in sight multiplies.
-Where an opening may take a share of a part, its hypotheses differ by the share, and the likeliest one is asked.
+pay for it beside the declared one, the test curves must gain by two standard errors, and neither polarization may lose
+by two standard errors. It must also be likelier than a constant level. A part may be `open`, too: nothing is known then
+of what comes back from it but a level, which its area in sight multiplies. Where an opening may take a share of a part,
+its hypotheses differ by the share, and the likeliest one is asked.
+
+The noise of each curve is its own (`noise.fit_each`), that of a test curve, too. Each hypothesis fits as many numbers
+of noise as the declared material does. So they gain nothing by them, and no frequency has to tell the noise of another.
 """
 
 from __future__ import annotations
@@ -17,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from warpsar.curves.noise import Noises, densities, fit
+from warpsar.curves.noise import densities, fit_each
 from warpsar.curves.observed import ObservedCurve, independent
 from warpsar.curves.rivals import constant
 from warpsar.curves.search import ERRORS, TEST, CurvesLeftOut
@@ -65,7 +68,7 @@ class MaterialTest:
     left_out: tuple[CurvesLeftOut, ...]
     over_constant_level: float
     whole: float
-    """2 ln L over the declared material on all curves, with the noise of the train curves."""
+    """2 ln L over the declared material on all curves."""
     why: str = ""
 
     @property
@@ -84,7 +87,7 @@ def opened(hypothesis: MaterialHypothesis, area_m2: Sequence[NDArray[np.float64]
 
     def loss(level_db: float) -> float:
         level = 10.0 ** (level_db / 10.0)
-        return -fit([replace(one, level_m2=level * area) for one, area in train], [MODEL]).log_likelihood
+        return -fit_each([replace(one, level_m2=level * area) for one, area in train], [MODEL])[1]
 
     best = minimize_scalar(loss, bounds=_LEVELS_DB, method="bounded", options={"maxiter": 12})
     level = 10.0 ** (float(best.x) / 10.0)
@@ -97,20 +100,20 @@ def ask_materials(declared: MaterialHypothesis, others: Sequence[MaterialHypothe
     groups: dict[tuple[str, str], list[MaterialHypothesis]] = {}
     for one in others:
         groups.setdefault((one.part, one.kind), []).append(one)
-    before = _noise(declared)
+    before = _rows(declared)
     asked = [_ask(declared, before, group) for group in groups.values()]
     asked.sort(key=lambda pair: -pair[0].whole)
     return _with_ties(asked)
 
 
-def _noise(one: MaterialHypothesis) -> Noises:
-    return fit([curve for curve in one.curves if curve.role == "train"], [MODEL]).noise
-
-
-def _rows(one: MaterialHypothesis, noise: Noises) -> list[NDArray[np.float64]]:
+def _rows(one: MaterialHypothesis) -> list[NDArray[np.float64]]:
     """2 ln L of each row of each curve."""
-    first = next(iter(noise.values()))
-    return [2.0 * densities(c, c.amplitude([MODEL]), noise.get(c.polarization, first)) for c in one.curves]
+    noises, _ = fit_each(one.curves, [MODEL])
+    return [2.0 * densities(c, c.amplitude([MODEL]), noise) for c, noise in zip(one.curves, noises, strict=True)]
+
+
+def _of_train(one: MaterialHypothesis, rows: Sequence[NDArray[np.float64]]) -> float:
+    return float(sum(each.sum() for c, each in zip(one.curves, rows, strict=True) if c.role == "train"))
 
 
 def _by_blocks(curves: Sequence[ObservedCurve], rows: Sequence[NDArray[np.float64]]) -> tuple[float, float]:
@@ -121,13 +124,13 @@ def _by_blocks(curves: Sequence[ObservedCurve], rows: Sequence[NDArray[np.float6
 
 
 def _ask(
-    declared: MaterialHypothesis, before: Noises, group: Sequence[MaterialHypothesis]
+    declared: MaterialHypothesis, before: Sequence[NDArray[np.float64]], group: Sequence[MaterialHypothesis]
 ) -> tuple[MaterialTest, tuple[ObservedCurve, ...], list[NDArray[np.float64]]]:
     """The answer, and the rows of 2 ln L over the declared material that it stands on."""
     group = sorted(group, key=lambda one: one.eps_r or 0.0)
     train = [c for c in declared.curves if c.role == "train"]
-    own = 2.0 * fit(train, [MODEL]).log_likelihood
-    told = [2.0 * fit([c for c in one.curves if c.role == "train"], [MODEL]).log_likelihood for one in group]
+    after = [_rows(one) for one in group]
+    told = [_of_train(one, rows) for one, rows in zip(group, after, strict=True)]
     best = int(np.argmax(told))
     chosen = group[best]
     interval = None
@@ -138,9 +141,8 @@ def _ask(
         axis = np.array([float(one.eps_r or 1.0) for one in group])
         interval = profiles({"eps_r": axis}, np.array(told))["eps_r"]
     price = (1 + parameters) * float(np.log(max(independent(train), 2.0)))
-    gain = told[best] - own
-    after = _noise(chosen)
-    rows = [new - old for new, old in zip(_rows(chosen, after), _rows(declared, before), strict=True)]
+    gain = told[best] - _of_train(declared, before)
+    rows = [new - old for new, old in zip(after[best], before, strict=True)]
     left_out = []
     kinds = sorted({c.polarization for c in train})
     tests = [i for i, c in enumerate(declared.curves) if c.role == "test" and c.polarization in kinds]
@@ -151,8 +153,9 @@ def _ask(
         mine = [i for i, c in enumerate(declared.curves) if c.polarization == kind]
         total, error = _by_blocks([declared.curves[i] for i in mine], [rows[i] for i in mine])
         left_out.append(CurvesLeftOut(kind, total, error))
-    rival = constant(train)
-    over = told[best] - 2.0 * rival.fitted.log_likelihood + rival.parameters * float(np.log(independent(train)))
+    rivals = [constant([c]) for c in train]
+    paid = sum(each.parameters for each in rivals) * float(np.log(independent(train)))
+    over = told[best] - 2.0 * sum(each.fitted.log_likelihood for each in rivals) + paid
     why = ""
     if gain <= price:
         why = "the train curves do not pay for it"
