@@ -44,14 +44,17 @@ class MaterialHypothesis:
     kind: Kind
     curves: tuple[ObservedCurve, ...]
     eps_r: float | None = None
+    thickness_m: float | None = None
+    """Of a sheet in air. Curves of a thin one tell the product (eps_r - 1) x thickness alone."""
     share: float = 1.0
     """Of an open part: the rest of it sends back what is declared."""
     parameters: int = 0
     """Fitted ones, which the train curves must pay for."""
 
     @property
-    def name(self) -> str:
-        return self.kind if self.eps_r is None else f"{self.kind}, eps_r {self.eps_r:g}"
+    def product_m(self) -> float | None:
+        """(eps_r - 1) x thickness of a sheet [m]."""
+        return None if self.eps_r is None or self.thickness_m is None else (self.eps_r - 1.0) * self.thickness_m
 
 
 @dataclass(frozen=True)
@@ -70,14 +73,17 @@ class MaterialTest:
     whole: float
     """2 ln L over the declared material on all curves."""
     why: str = ""
+    product_m: ProfileInterval | None = None
+    """Of a sheet: (eps_r - 1) x thickness [m]. `eps_r` is then None."""
 
     @property
     def words(self) -> str:
         """One sentence."""
         value = ""
-        if self.eps_r is not None:
-            ends = f"{self.eps_r.low:.3g} to {self.eps_r.high:.3g}{', the end of what was tried' * self.eps_r.open}"
-            value = f", eps_r {self.eps_r.value:.3g} ({ends})"
+        for told, name, unit in ((self.eps_r, "eps_r", ""), (self.product_m, "(eps_r - 1) x thickness", " m")):
+            if told is not None:
+                ends = f"{told.low:.3g} to {told.high:.3g}{unit}{', the end of what was tried' * told.open}"
+                value = f", {name} {told.value:.3g}{unit} ({ends})"
         return f"{self.part}: {self.kind}{value}: {self.outcome}" + (f", {self.why}" if self.why else "")
 
 
@@ -93,6 +99,11 @@ def opened(hypothesis: MaterialHypothesis, area_m2: Sequence[NDArray[np.float64]
     level = 10.0 ** (float(best.x) / 10.0)
     curves = tuple(replace(one, level_m2=level * area) for one, area in zip(hypothesis.curves, area_m2, strict=True))
     return replace(hypothesis, curves=curves, parameters=1)
+
+
+def likelier(first: MaterialHypothesis, second: MaterialHypothesis) -> MaterialHypothesis:
+    """Of two, the one that the train curves prefer."""
+    return max((first, second), key=lambda one: _of_train(one, _rows(one)))
 
 
 def ask_materials(declared: MaterialHypothesis, others: Sequence[MaterialHypothesis]) -> list[MaterialTest]:
@@ -127,17 +138,20 @@ def _ask(
     declared: MaterialHypothesis, before: Sequence[NDArray[np.float64]], group: Sequence[MaterialHypothesis]
 ) -> tuple[MaterialTest, tuple[ObservedCurve, ...], list[NDArray[np.float64]]]:
     """The answer, and the rows of 2 ln L over the declared material that it stands on."""
-    group = sorted(group, key=lambda one: one.eps_r or 0.0)
+    group = sorted(group, key=lambda one: one.product_m or one.eps_r or 0.0)
     train = [c for c in declared.curves if c.role == "train"]
     after = [_rows(one) for one in group]
     told = [_of_train(one, rows) for one, rows in zip(group, after, strict=True)]
     best = int(np.argmax(told))
     chosen = group[best]
-    interval = None
+    interval, product = None, None
     parameters = chosen.parameters
     if len(group) > 1:
         parameters += 1
-    if len(group) > 1 and chosen.eps_r is not None:
+    if len(group) > 1 and chosen.product_m is not None:
+        products = np.array([one.product_m for one in group], np.float64)
+        product = profiles({"product": products}, np.array(told))["product"]
+    elif len(group) > 1 and chosen.eps_r is not None:
         axis = np.array([float(one.eps_r or 1.0) for one in group])
         interval = profiles({"eps_r": axis}, np.array(told))["eps_r"]
     price = (1 + parameters) * float(np.log(max(independent(train), 2.0)))
@@ -165,7 +179,8 @@ def _ask(
         why = "no likelier than a constant level"
     whole, _ = _by_blocks(declared.curves, rows)
     outcome: Outcome = "refused" if why else "named"
-    found = MaterialTest(chosen.part, chosen.kind, outcome, interval, gain, price, tuple(left_out), over, whole, why)
+    head = chosen.part, chosen.kind, outcome, interval
+    found = MaterialTest(*head, gain, price, tuple(left_out), over, whole, why, product)
     return found, declared.curves, rows
 
 
