@@ -91,3 +91,27 @@ def test_eps_r_has_an_interval_over_what_was_tried() -> None:
     (found,) = ask_materials(declared, some)
     assert found.eps_r is not None
     assert found.eps_r.low <= 3.0 <= found.eps_r.high
+
+
+def test_what_explains_less_than_the_engines_own_error_is_not_named() -> None:
+    """A material that takes 0.25 dB off the noise everywhere: with 4,000 directions no chance, but no evidence either.
+
+    The declared model lacks a field of 6 % of the noise's power: 10 log10(1.06) = 0.25 dB.
+    """
+    rng = np.random.default_rng(2)
+    declared, other = [], []
+    for number in range(80):
+        pol, frequency, role = CASES[number % len(CASES)]
+        own, lacked = field(rng, frequency), np.sqrt(0.006) * field(rng, frequency)
+        one = curve(
+            rng, {"a": own, "b": lacked}, ["a", "b"], frequency_hz=frequency, polarization=pol, role=role,
+            background_m2=0.1, share=1e-6,
+        )  # fmt: skip
+        declared.append(one.beside({MODEL: one.terms["a"]}))
+        other.append(one.beside({MODEL: one.terms["a"] + one.terms["b"]}))
+    asked = MaterialHypothesis("tip", "dielectric", tuple(other))
+    (found,) = ask_materials(MaterialHypothesis("", "declared", tuple(declared)), [asked])
+    assert found.gain > found.price
+    assert all(one.holds for one in found.left_out)
+    assert found.outcome == "refused"
+    assert "0.4 dB" in found.why
