@@ -72,7 +72,7 @@ def ask(
         bar.update()
     for cut, name in cuts:
         area = [_area(cut, name, curve) for curve in declared.curves]
-        gone = _curves(_changed(cut, name, Tried("open")), cache, device)
+        gone = _curves(_changed(cut, name, TriedMaterial("open")), cache, device)
         for share in SHARES:
             rest = tuple(_between(*pair, share) for pair in zip(declared.curves, gone, strict=True))
             others.append(opened(MaterialHypothesis(name, "open", rest, share=share), area))
@@ -108,9 +108,9 @@ def with_material(scene: Scene, found: MaterialTest) -> Scene:
     if found.kind == "open":
         return scene
     if found.product_m is not None:
-        tried = Tried(found.kind, SHEET_EPS, found.product_m.value / (SHEET_EPS - 1.0))
+        tried = TriedMaterial(found.kind, SHEET_EPS, found.product_m.value / (SHEET_EPS - 1.0))
     else:
-        tried = Tried(found.kind, None if found.eps_r is None else found.eps_r.value)
+        tried = TriedMaterial(found.kind, None if found.eps_r is None else found.eps_r.value)
     changed = _changed(scene, found.part, tried)
     terms = (*scene.radar.terms, *(("transmission",) if "transmission" in changed.radar.terms else ()))
     radar = scene.radar.model_copy(update={"terms": tuple(dict.fromkeys(terms))})
@@ -118,7 +118,7 @@ def with_material(scene: Scene, found: MaterialTest) -> Scene:
 
 
 @dataclass(frozen=True)
-class Tried:
+class TriedMaterial:
     """What a part may be of: a solid has an eps_r, a sheet in air a thickness, too."""
 
     kind: Kind
@@ -136,17 +136,18 @@ class Tried:
         return Material(eps_r=eps, thickness_m=self.thickness_m, rms_height_m=0.0)
 
 
-def _alternatives(scene: Scene, name: str, closed: bool, shortest_m: float) -> Iterator[Tried]:
+def _alternatives(scene: Scene, name: str, closed: bool, shortest_m: float) -> Iterator[TriedMaterial]:
     material = scene.materials[name]
     if not material.conductor or material.thickness_m is not None:
-        yield Tried("metal")
+        yield TriedMaterial("metal")
     if closed and material.thickness_m is None:
-        yield from (Tried("dielectric", eps) for eps in SOLIDS)
+        yield from (TriedMaterial("dielectric", eps) for eps in SOLIDS)
     if closed:
-        yield Tried("open")
+        yield TriedMaterial("open")
     elif material.conductor and _flat(scene.mesh, name):  # rays say what a sheet reflects, not what lies behind it
         yield from (
-            Tried("dielectric", SHEET_EPS, product * shortest_m / (SHEET_EPS - 1.0)) for product in SHEETS.tolist()
+            TriedMaterial("dielectric", SHEET_EPS, product * shortest_m / (SHEET_EPS - 1.0))
+            for product in SHEETS.tolist()
         )
 
 
@@ -162,7 +163,7 @@ def _shortest_m(curves: Sequence[ObservedCurve]) -> float:
     return SPEED_OF_LIGHT / max(one.frequency_hz for one in curves)
 
 
-def _changed(scene: Scene, name: str, tried: Tried) -> Scene:
+def _changed(scene: Scene, name: str, tried: TriedMaterial) -> Scene:
     return _whole(replace(scene, materials={**scene.materials, name: tried.material}))
 
 
@@ -185,9 +186,9 @@ def _curves(
 def _seen(scene: Scene, name: str, device: str | None) -> bool:
     """Whether the radar sees a part first from anywhere around: its reflection then changes the field."""
     radar = scene.radar.model_copy(update={"terms": ("single",)})
-    looks = [replace(scene, radar=radar), replace(_changed(scene, name, Tried("open")), radar=radar)]
+    looks = [replace(scene, radar=radar), replace(_changed(scene, name, TriedMaterial("open")), radar=radar)]
     if scene.materials[name].conductor:
-        looks[0] = replace(_changed(scene, name, Tried("metal")), radar=radar)
+        looks[0] = replace(_changed(scene, name, TriedMaterial("metal")), radar=radar)
     found = [rcs(one, _LOOKS, 90.0, device=device).amplitude_m for one in looks]
     return bool(np.abs(found[0] - found[1]).max() > 1e-6 * np.abs(found[0]).max())
 
