@@ -203,6 +203,19 @@ def counted(rows: Sequence[dict[str, Any]]) -> str:
     return tables.markdown(("measured", "declared", "to be found", "right", "wrong answers"), lines)
 
 
+def row_of(case: Case, what: str, asked: Sequence[MaterialTest]) -> dict[str, Any]:
+    """For JSON and `counted`: what was answered with `what` held back."""
+    return {
+        "measured": case.measured,
+        "declared": case.declared,
+        "held_back": what,
+        "answer": answer(asked),
+        "wanted": case.right and case.right[0],
+        "right": is_right(asked, case.right),
+        "asked": [asdict(one) for one in asked],
+    }
+
+
 def answer(asked: Sequence[MaterialTest]) -> str:
     """What the loop says."""
     said = [one for one in asked if one.outcome in ("named", "tied")]
@@ -252,9 +265,7 @@ def count_held_back(options: argparse.Namespace) -> int:
             if (case.measured, case.declared, what) in there:
                 continue
             asked = ask(scene, options.out / "cache", parts=case.parts)
-            row = {"measured": case.measured, "declared": case.declared, "held_back": what, "answer": answer(asked),
-                   "wanted": case.right and case.right[0], "right": is_right(asked, case.right),
-                   "asked": [asdict(one) for one in asked]}  # fmt: skip
+            row = row_of(case, what, asked)
             result["rows"].append(row)
             path.write_text(json.dumps(plain(result), indent=1) + "\n", encoding="utf-8")
             print(case.measured, case.declared, what, row["answer"], "right" if row["right"] else "wrong", sep="; ",

@@ -12,6 +12,7 @@ from click.testing import CliRunner
 
 import warpsar
 from warpsar.cli.main import main
+from warpsar.coherent.command import closed
 from warpsar.coherent.directions import Directions
 from warpsar.coherent.isar import body_image, range_profiles
 from warpsar.coherent.rcs import Rcs
@@ -133,3 +134,10 @@ def test_a_scene_without_views_is_saved_as_it_is_and_makes_no_image(tmp_path: Pa
 def test_an_image_needs_views_and_views_an_image(there: str, said: str, tmp_path: Path) -> None:
     with pytest.raises(warpsar.InputError, match=said):
         warpsar.Scene.load(scene_with(tmp_path, there))
+
+
+def test_the_line_of_a_whole_turn_is_closed() -> None:
+    """0:360:2 ends at 358 degrees: the first angle follows again. A sector stays open."""
+    assert closed(np.arange(0.0, 360.0, 2.0))[[0, -1]].tolist() == [0, 0]
+    assert closed(np.arange(0.0, 300.0, 2.0)).tolist() == list(range(150))
+    assert closed(np.arange(-180.0, 180.1, 2.0)).tolist() == list(range(181))  # both ends are there

@@ -287,6 +287,7 @@ def plot(found: Rcs, path: Path) -> None:
 def plot_polar(found: Rcs, path: Path) -> None:
     """The same around the body: azimuth clockwise from north, incidence from the zenith; dBsm outward."""
     angle, by_azimuth, other, decibels, _ = _cut(found)
+    around = closed(angle)
     count = min(found.frequency_hz.size, _MOST_PANELS)
     columns = min(count, 2)
     rows_of = -(-count // columns)
@@ -305,8 +306,8 @@ def plot_polar(found: Rcs, path: Path) -> None:
         f = _shown(found)[place]
         highest = decibels[:, f].max()
         for p, name in enumerate(found.polarizations):
-            line = np.maximum(decibels[:, f, p], highest - _POLAR_FLOOR_DB)
-            panel.plot(np.deg2rad(angle), line, lw=1.0, ls=_STYLES[p], label=name)
+            line = np.maximum(decibels[around, f, p], highest - _POLAR_FLOOR_DB)
+            panel.plot(np.deg2rad(angle[around]), line, lw=1.0, ls=_STYLES[p], label=name)
         panel.set_theta_zero_location("N")
         panel.set_theta_direction(-1)
         if np.isfinite(highest):
@@ -318,6 +319,15 @@ def plot_polar(found: Rcs, path: Path) -> None:
         panel.tick_params(labelsize=8)
     panels[0, 0].legend(frameon=False, loc="lower left", bbox_to_anchor=(-0.12, -0.1))
     figures.save(figure, path)
+
+
+def closed(angle_deg: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Numbers of the angles in their order; of a whole turn the first again, so that the line has no gap."""
+    order = np.arange(angle_deg.size)
+    if angle_deg.size < 3:
+        return order
+    gap = angle_deg[0] + 360.0 - angle_deg[-1]
+    return np.append(order, 0) if 0.0 < gap <= 1.01 * np.diff(angle_deg).max() else order
 
 
 def _cut(

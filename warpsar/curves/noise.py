@@ -86,6 +86,16 @@ def fit(curves: Sequence[ObservedCurve], names: Sequence[str], offered: str | No
     return Fit(loss.noises(best.x), float(best.x[-1]) if offered else 0.0, -float(best.fun))
 
 
+def fit_each(curves: Sequence[ObservedCurve], names: Sequence[str]) -> tuple[list[Noise], float]:
+    """The likeliest noise of each curve by itself, and ln L of all.
+
+    What a model leaves out is of the order of a wavelength in amplitude, and rays fail sooner where a body is small in
+    wavelengths. So the noise about one frequency says little of that about another one.
+    """
+    found = [(one, fit([one], names)) for one in curves]
+    return [each.noise[one.polarization] for one, each in found], float(sum(each.log_likelihood for _, each in found))
+
+
 class _Loss:
     """-ln L and its slope. x: ln(background / mean power) and ln(share) of each polarization, then the factor."""
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +13,7 @@ from warpsar.coherent.directions import Directions
 from warpsar.coherent.joints import joints
 from warpsar.coherent.rcs import rcs
 from warpsar.coherent.shape import shape_of
-from warpsar.curves.materials import MODEL, Kind, MaterialHypothesis, MaterialTest, ask_materials, opened
+from warpsar.curves.materials import MODEL, Kind, MaterialHypothesis, MaterialTest, ask_materials, likelier, opened
 from warpsar.curves.observe import observe
 from warpsar.curves.observed import ObservedCurve
 from warpsar.curves.search import CANDIDATES, DECLARED
@@ -29,6 +28,12 @@ SOLIDS = (2.0, 2.5, 3.0, 4.0, 6.0)
 """Permittivities of a solid that is tried: foam is below them, ceramics are above."""
 LOSS_TANGENT = 0.03
 """Of a solid that is tried: of resins and plastics, 0.005 to 0.05. One value, since curves hardly tell it apart."""
+SHEET_EPS = 3.0
+"""Permittivity of a sheet that is tried, of plastic or resin: its curves tell (eps_r - 1) x thickness."""
+SHEETS = np.geomspace(0.003, 1.0, 21)
+"""That product over the shortest wavelength, 2.5 dB apart: the first reflects -40 dB, the last nearly as metal does."""
+FLAT = 1e-6
+"""Thickness of a flat part over its size."""
 TERMS = (*DECLARED, *CANDIDATES.values())
 """Of every hypothesis, whatever is declared: physics has them all. `diagnosis.curves` then asks which of them show."""
 SHARES = (0.25, 0.5, 0.75, 1.0)
@@ -51,26 +56,29 @@ def ask(
     if parts is None:
         parts = [name for name in scene.materials if len(scene.materials) == 1 or _seen(scene, name, device)]
     closed = bool((joints(scene.mesh.vertices, scene.mesh.faces).other >= 0).all())
-    wanted = [(name, kind, eps) for name in parts for kind, eps in _alternatives(scene.materials[name], closed)]
     declared = MaterialHypothesis("", "declared", _curves(scene, cache, device))
+    as_it_stands = MaterialHypothesis("", "declared", _curves(scene, cache, device, scene.radar.terms))
+    shortest = _shortest_m(declared.curves)
+    wanted = [(name, one) for name in parts for one in _alternatives(scene, name, closed, shortest)]
     cuts = list(_with_lids(scene, declared.curves)) if whole and closed else []  # nobody said where an opening may be
     bar = console.progress(len(wanted) + len(cuts), "materials", "material")
     others = []
-    for name, kind, eps in wanted:
-        one = MaterialHypothesis(name, kind, _curves(_changed(scene, name, kind, eps), cache, device), eps)
-        if kind == "open":
+    for name, tried in wanted:
+        curves = _curves(_changed(scene, name, tried), cache, device)
+        one = MaterialHypothesis(name, tried.kind, curves, tried.eps_r, tried.thickness_m)
+        if tried.kind == "open":
             one = opened(one, [_area(scene, name, curve) for curve in one.curves])
         others.append(one)
         bar.update()
     for cut, name in cuts:
         area = [_area(cut, name, curve) for curve in declared.curves]
-        gone = _curves(_changed(cut, name, "open", None), cache, device)
+        gone = _curves(_changed(cut, name, TriedMaterial("open")), cache, device)
         for share in SHARES:
             rest = tuple(_between(*pair, share) for pair in zip(declared.curves, gone, strict=True))
             others.append(opened(MaterialHypothesis(name, "open", rest, share=share), area))
         bar.update()
     bar.close()
-    return ask_materials(declared, others)
+    return ask_materials(likelier(declared, as_it_stands), others)  # no material is to win by terms that are not there
 
 
 def _between(declared: ObservedCurve, gone: ObservedCurve, share: float) -> ObservedCurve:
@@ -81,8 +89,9 @@ def _with_lids(scene: Scene, curves: Sequence[ObservedCurve]) -> Iterator[tuple[
     """For each flat part that an opening may lie behind, the scene that has it as a part, and the part's name."""
     mesh, (material,) = scene.mesh, scene.mesh.materials
     looks = np.concatenate([Directions.of(one.azimuth_deg, one.incidence_deg).s for one in curves])
-    shortest = SPEED_OF_LIGHT / max(one.frequency_hz for one in curves)
-    for faces in lids(mesh, looks, (shortest / 4.0) ** 2):  # a quarter of a wavelength: nothing enters what is narrower
+    for faces in lids(
+        mesh, looks, (_shortest_m(curves) / 4.0) ** 2
+    ):  # a quarter of a wavelength: nothing enters what is narrower
         corners = mesh.vertices[mesh.faces[faces]]
         low, high = (np.round(end, 3) + 0.0 for end in (corners.min(axis=(0, 1)), corners.max(axis=(0, 1))))  # no -0
         ends = zip("xyz", low, high, strict=True)
@@ -98,30 +107,64 @@ def with_material(scene: Scene, found: MaterialTest) -> Scene:
     """The scene in which the part has the material that was named; an opening stays what it was declared."""
     if found.kind == "open":
         return scene
-    changed = _changed(scene, found.part, found.kind, None if found.eps_r is None else found.eps_r.value)
+    if found.product_m is not None:
+        tried = TriedMaterial(found.kind, SHEET_EPS, found.product_m.value / (SHEET_EPS - 1.0))
+    else:
+        tried = TriedMaterial(found.kind, None if found.eps_r is None else found.eps_r.value)
+    changed = _changed(scene, found.part, tried)
     terms = (*scene.radar.terms, *(("transmission",) if "transmission" in changed.radar.terms else ()))
     radar = scene.radar.model_copy(update={"terms": tuple(dict.fromkeys(terms))})
     return replace(changed, radar=radar)
 
 
-def _alternatives(material: Material, closed: bool) -> Iterator[tuple[Kind, float | None]]:
+@dataclass(frozen=True)
+class TriedMaterial:
+    """What a part may be of: a solid has an eps_r, a sheet in air a thickness, too."""
+
+    kind: Kind
+    eps_r: float | None = None
+    thickness_m: float | None = None
+
+    @property
+    def material(self) -> Material:
+        if self.kind == "metal":
+            return Material(conductor=True)
+        if self.kind == "open":
+            return Material(eps_r=_ABSORBER, rms_height_m=0.0)
+        assert self.eps_r is not None
+        eps = self.eps_r, -LOSS_TANGENT * self.eps_r
+        return Material(eps_r=eps, thickness_m=self.thickness_m, rms_height_m=0.0)
+
+
+def _alternatives(scene: Scene, name: str, closed: bool, shortest_m: float) -> Iterator[TriedMaterial]:
+    material = scene.materials[name]
     if not material.conductor or material.thickness_m is not None:
-        yield "metal", None
-    if not closed:
-        return  # a sheet has no inside
-    if material.thickness_m is None:
-        yield from (("dielectric", eps) for eps in SOLIDS)
-    yield "open", None
+        yield TriedMaterial("metal")
+    if closed and material.thickness_m is None:
+        yield from (TriedMaterial("dielectric", eps) for eps in SOLIDS)
+    if closed:
+        yield TriedMaterial("open")
+    elif material.conductor and _flat(scene.mesh, name):  # rays say what a sheet reflects, not what lies behind it
+        yield from (
+            TriedMaterial("dielectric", SHEET_EPS, product * shortest_m / (SHEET_EPS - 1.0))
+            for product in SHEETS.tolist()
+        )
 
 
-def _changed(scene: Scene, name: str, kind: Kind, eps: float | None) -> Scene:
-    table: dict[str, Any] = {"conductor": True}
-    if kind == "dielectric":
-        assert eps is not None
-        table = {"eps_r": (eps, -LOSS_TANGENT * eps), "rms_height_m": 0.0}
-    elif kind == "open":
-        table = {"eps_r": _ABSORBER, "rms_height_m": 0.0}
-    return _whole(replace(scene, materials={**scene.materials, name: Material(**table)}))
+def _flat(mesh: Mesh, name: str) -> bool:
+    """Whether a part lies in one plane."""
+    corners = mesh.vertices[mesh.faces[mesh.face_material == mesh.materials.index(name)]].reshape(-1, 3)
+    spread = np.linalg.svd(corners - corners.mean(axis=0), compute_uv=False)
+    return bool(spread[2] <= FLAT * spread[0])
+
+
+def _shortest_m(curves: Sequence[ObservedCurve]) -> float:
+    """The shortest wavelength."""
+    return SPEED_OF_LIGHT / max(one.frequency_hz for one in curves)
+
+
+def _changed(scene: Scene, name: str, tried: TriedMaterial) -> Scene:
+    return _whole(replace(scene, materials={**scene.materials, name: tried.material}))
 
 
 def _whole(scene: Scene) -> Scene:
@@ -131,18 +174,21 @@ def _whole(scene: Scene) -> Scene:
     return replace(scene, radar=scene.radar.model_copy(update={"terms": terms}))
 
 
-def _curves(scene: Scene, cache: Path, device: str | None) -> tuple[ObservedCurve, ...]:
+def _curves(
+    scene: Scene, cache: Path, device: str | None, terms: Sequence[str] | None = None
+) -> tuple[ObservedCurve, ...]:
+    """The curves beside the sum of all terms, or of some."""
     whole = _whole(scene)
     seen = observe(whole, cache=cache, device=device, per_direction=PER_DIRECTION)
-    return tuple(one.beside({MODEL: one.amplitude(whole.radar.terms)}) for one in seen)
+    return tuple(one.beside({MODEL: one.amplitude(terms or whole.radar.terms)}) for one in seen)
 
 
 def _seen(scene: Scene, name: str, device: str | None) -> bool:
     """Whether the radar sees a part first from anywhere around: its reflection then changes the field."""
     radar = scene.radar.model_copy(update={"terms": ("single",)})
-    looks = [replace(scene, radar=radar), replace(_changed(scene, name, "open", None), radar=radar)]
+    looks = [replace(scene, radar=radar), replace(_changed(scene, name, TriedMaterial("open")), radar=radar)]
     if scene.materials[name].conductor:
-        looks[0] = replace(_changed(scene, name, "metal", None), radar=radar)
+        looks[0] = replace(_changed(scene, name, TriedMaterial("metal")), radar=radar)
     found = [rcs(one, _LOOKS, 90.0, device=device).amplitude_m for one in looks]
     return bool(np.abs(found[0] - found[1]).max() > 1e-6 * np.abs(found[0]).max())
 
