@@ -78,6 +78,18 @@ def test_numbers_of_single_views_are_fitted_to_test_views(tmp_path: Path) -> Non
     assert judge.with_own_numbers(scene)[0] is judge(scene, "test")[0]
 
 
+def test_numbers_that_do_not_pay_stay_where_they_began(tmp_path: Path) -> None:
+    """The test view lies where it should. Fitted to its speckle, a shift would be a centimetre or two of chance, which
+    edges see."""
+    shifts = {"range_m": {"v0": 0.4}, "azimuth_m": {"v0": -0.3}}
+    scene = scene_of({"aim_point": shifts}, tmp_path)
+    known = with_effect(scene, "aim_point", shifts)
+    judge = Judge(CPU)
+    (plain,), (own,) = judge(known, "test"), judge.with_own_numbers(known)
+    assert own is not plain
+    np.testing.assert_array_equal(own.simulated, plain.simulated)
+
+
 @pytest.mark.full
 def test_a_gain_of_every_view_pays_on_test_views_with_their_own(tmp_path: Path) -> None:
     """The test view is 3 dB brighter. With the gains of the others, which are not its own, it is as far off as before:

@@ -7,7 +7,7 @@ import pytest
 from effect_worlds import ROUNDING, Case, plane, render_of, street, with_effect
 from worlds import ground, mesh_of, scene_of, view
 
-from warpsar.effects.registry import held_by
+from warpsar.effects.registry import get, held_by
 from warpsar.learning.coordinates import SceneCoordinates
 from warpsar.learning.geometry import Geometry
 from warpsar.scene.placing import with_objects
@@ -74,3 +74,12 @@ def test_a_view_that_no_table_names_stays() -> None:
     before = simulate(scene, device="cpu")
     assert np.array_equal(moved[1].beta0["HH"], before[1].beta0["HH"])
     assert not np.array_equal(moved[0].beta0["HH"], before[0].beta0["HH"])
+
+
+def test_few_views_that_lie_elsewhere_are_simpler() -> None:
+    """One view that was cut out about another point has a shift; the others lie where they should."""
+    table = {"range_m": {"a": 0.01, "b": 0.5, "c": 0.02}, "azimuth_m": {"a": 0.0, "b": 0.0, "c": -0.03}, "reach_m": 0.0}
+    one, two = get("aim_point").simpler(table)
+    assert one == {"range_m": {"b": 0.5}, "azimuth_m": {"b": 0.0}, "reach_m": 0.0}
+    assert two == {"range_m": {"b": 0.5, "c": 0.02}, "azimuth_m": {"b": 0.0, "c": -0.03}, "reach_m": 0.0}
+    assert get("aim_point").simpler(one) == []
