@@ -6,6 +6,7 @@ command.py          the command
 curves.py           which terms and materials measured curves of RCS show
 curve_materials.py  the materials that parts of a body may have, and the curves beside such bodies
 result.py           `diagnose`, and its result on all views
+single_views.py     the angle of a test view, which no train view can tell
 surface_moves.py    how far the surface's parameters went, and their intervals
 content.py          what diagnosis.json holds
 written_scene.py    what the written scene and diagnosis.json say of found objects
