@@ -88,14 +88,13 @@ class AimPoint(Effect):
         return [Trial(steps, ({key: dict.fromkeys(names, 0.0) for key in ("range_m", "azimuth_m")},))]
 
     def simpler(self, table: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-        """Shifts of a few views, while all the others lie where they should: of the furthest one, of two..."""
-        keys = [p.name for p in self.parameters]
+        """Without the view that lies nearest to where it should."""
+        keys = [p.name for p in self.parameters if p.name in table]
         views = list(dict.fromkeys(view for key in keys for view in table[key]))
-        far = sorted(views, key=lambda view: -float(np.hypot(*(table[key].get(view, 0.0) for key in keys))))
-        return [
-            {**table, **{key: {view: one for view, one in table[key].items() if view in far[:few]} for key in keys}}
-            for few in range(1, len(far))
-        ]
+        if len(views) < 2:
+            return []
+        nearest = min(views, key=lambda view: float(np.linalg.norm([table[key].get(view, 0.0) for key in keys])))
+        return [{**table, **{key: {v: one for v, one in table[key].items() if v != nearest} for key in keys}}]
 
     def shift(self, render: Recorder, p: wp.array, shift: wp.array) -> wp.array:
         result = render.program.array(2)

@@ -206,6 +206,17 @@ def fitted_effects(effects: Mapping[str, Mapping[str, Any]]) -> list[str]:
     return [name for name, table in effects.items() if any(is_fitted(p.name, table) for p in get(name).parameters)]
 
 
+def sets_all_positions(world: World) -> str | None:
+    """The effect by which a fit shifts every train view by itself, so that images say nothing of places (`Effect.
+    sets_positions`); None where a view that its table does not name holds them."""
+    train = {view.name for view in world.views if view.role == "train"}
+    for name in fitted_effects(world.effects):
+        stated = [set(world.effects[name].get(p.name, ())) for p in get(name).parameters if p.per_view]
+        if get(name).sets_positions and any(train <= one for one in stated):
+            return name
+    return None
+
+
 def held_by(effects: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
     """The effects of a scene that a fit holds, each with the one that it moves and that can do all they do."""
     return {one: name for name in fitted_effects(effects) for one in get(name).contains if one in effects}

@@ -13,7 +13,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from warpsar.effects.registry import fitted_effects, get
+from warpsar.effects.registry import sets_all_positions
 from warpsar.parameters.at import at
 from warpsar.parameters.parameter import Parameter
 from warpsar.scene.scene import Scene
@@ -81,8 +81,8 @@ class Geometry:
     """The freed parameters of bodies, views and image; the vector p, shape (n,) [m], is 0 where the scene puts them.
 
     `known` says of each element about which value it is known, and to which standard deviation, in the parameter's
-    unit; it is infinite without a tolerance. Positions are held where a fit moves an effect that can do what they do
-    (`Effect.sets_positions`); `held` has a sentence for each object.
+    unit; it is infinite without a tolerance. Positions are held where a fit shifts every view by itself, which can do
+    what they do (`sets_all_positions`); `held` has a sentence for each object.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -90,7 +90,7 @@ class Geometry:
         self.coordinates: list[GeometryCoordinate] = []
         self.known: list[tuple[float, float]] = []
         self.held: list[str] = []
-        holding = next((name for name in fitted_effects(scene.effects) if get(name).sets_positions), None)
+        holding = sets_all_positions(scene)
         for parameter in freed(scene):
             if parameter.key == "position_m" and holding is not None:
                 self.held.append(f"{parameter.owner}.position: held, because {holding} shifts each view by itself")

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 
 from warpsar.diagnosis.models.change import differences
-from warpsar.effects.registry import get
+from warpsar.effects.registry import sets_all_positions
 from warpsar.scene.placing import with_objects
 from warpsar.scene.scene import Scene
 from warpsar.world.objects.groups import group_names, with_groups
@@ -116,8 +116,7 @@ def own_material(declared: Scene, scene: Scene, label: str) -> str | None:
 def placeable(declared: Scene, scene: Scene, labels: Iterable[str]) -> bool:
     """Whether the places of the bodies `labels` can be told: where the aim point of every view is free, only against
     another body, which has not moved."""
-    free = any(get(name).sets_positions and not table.get("fixed") for name, table in scene.effects.items())
-    return not free or bool(set(bodies(declared, scene)) - set(labels))
+    return sets_all_positions(scene) is None or bool(set(bodies(declared, scene)) - set(labels))
 
 
 def _plan_area(vertices: np.ndarray, faces: np.ndarray) -> float:
