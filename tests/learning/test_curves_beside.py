@@ -13,6 +13,8 @@ from worlds import FREQUENCY_HZ, SOIL, ground, mesh_of, scene_of, view
 import warpsar
 from warpsar import Scene, simulate
 from warpsar.cli.main import main
+from warpsar.diagnosis.result import diagnose
+from warpsar.errors import InputError
 from warpsar.io.images import write_exr
 from warpsar.learning.curves import curves_beside
 from warpsar.learning.problem import FitProblem
@@ -70,8 +72,8 @@ def saved(folder: Path, scene: Scene) -> Path:
     return folder / "scene.toml"
 
 
-def run(command: str, path: Path, out: Path) -> Any:
-    return CliRunner().invoke(main, [command, str(path), "-o", str(out), "--device", "cpu"])
+def run(command: str, path: Path, out: Path, *further: str) -> Any:
+    return CliRunner().invoke(main, [command, str(path), "-o", str(out), "--device", "cpu", *further])
 
 
 def test_what_curves_say_of_x_has_the_derivatives_of_their_likelihood(tmp_path: Path) -> None:
@@ -120,10 +122,13 @@ def test_a_material_that_only_images_and_curves_together_determine(tmp_path: Pat
     assert told["train"]["deviance"] == pytest.approx(found["both"]["train"]["deviance"], rel=1e-3)
 
 
-def test_diagnose_refuses_both(tmp_path: Path) -> None:
-    done = run("diagnose", saved(tmp_path, both(tmp_path)), tmp_path / "out")
+@pytest.mark.parametrize("further", [[], ["--folds", "2"]])
+def test_diagnose_refuses_both(further: list[str], tmp_path: Path) -> None:
+    done = run("diagnose", saved(tmp_path, both(tmp_path)), tmp_path / "out", *further)
     assert done.exit_code == 2
     assert "found curves and images; diagnose must have one of them" in done.output
+    with pytest.raises(InputError, match="found curves and images"):
+        diagnose(both(tmp_path), device="cpu")
 
 
 def test_a_geometry_beside_curves_is_refused(tmp_path: Path) -> None:

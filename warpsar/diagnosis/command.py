@@ -23,11 +23,11 @@ from warpsar.diagnosis.search.procedure import diagnose_scene
 from warpsar.diagnosis.search.record import open_record
 from warpsar.diagnosis.surface_moves import moved_parameters
 from warpsar.diagnosis.written_scene import annotate
-from warpsar.errors import InputError
 from warpsar.evaluation.report_curves import write_curves_report
 from warpsar.io import checkpoint
 from warpsar.runtime import console, once
 from warpsar.simulation.outputs import opened, write_json
+from warpsar.world.world import refuse_both_kinds
 
 UNEXPLAINED = 4
 """Exit status of the command where something is left that nothing found explains."""
@@ -51,11 +51,7 @@ def run(
     options = options or DiagnoseOptions()
     scene, out, where = opened(scene_path, out, device)
     words = command_line(scene_path, out, where.alias, options)
-    if scene.curves and scene.has_images:
-        raise InputError(
-            f"{scene.name}: found curves and images; diagnose must have one of them, because a departure of images is "
-            f"no hypothesis about curves; learn and evaluate take both"
-        )
+    refuse_both_kinds(scene)
     if scene.has_curves_alone:
         console.warn(left_out_warning(scene, "a curve"))
         asked = diagnose_curves(scene, out / "cache", where.alias)

@@ -209,6 +209,15 @@ def lacks_images(world: World, *roles: str) -> InputError:
     )
 
 
+def refuse_both_kinds(world: World) -> None:
+    """Raise InputError where a scene to be diagnosed has curves beside images."""
+    if world.curves and world.has_images:
+        raise InputError(
+            f"{world.name}: found curves and images; diagnose must have one of them, because a departure of images is "
+            f"no hypothesis about curves; learn and evaluate take both"
+        )
+
+
 def posed(world: W, objects: Sequence[Object]) -> W:
     """The scene with its objects, the same ones, at other places or of other sizes."""
     assert world.assembly is not None

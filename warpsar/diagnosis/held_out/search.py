@@ -54,6 +54,7 @@ from warpsar.effects.registry import declared, get, response_of
 from warpsar.runtime import console, threads
 from warpsar.runtime.deadline import TimeUp, check, deadline
 from warpsar.scene.scene import Scene
+from warpsar.world.world import refuse_both_kinds
 
 GLANCE = 3  # iterations of a first fit, on one part alone, by which the likeliest is chosen
 FEW, FEWER = 10, 3  # views of that fit, and of the choice where it begins
@@ -651,8 +652,9 @@ def held_out(
     """What the scene's model lacks, by train views left out in so many parts. `log` may be of an earlier part of the
     run; the search ends after `time_limit_s` with what it has found.
 
-    Raises InputError for fewer than two train views for each part.
+    Raises InputError for fewer than two train views for each part, and for curves beside images.
     """
+    refuse_both_kinds(scene)
     bar = console.progress(0, "diagnose", "step")
     try:
         return FoldSearch(scene, device, parts, bar.update, log, time_limit_s).run()

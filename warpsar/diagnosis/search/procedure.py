@@ -33,7 +33,7 @@ from warpsar.speckle.scan import Scan
 from warpsar.speckle.tail import FIRST
 from warpsar.surface.stage import Stage
 from warpsar.world.tables import View
-from warpsar.world.world import lacks_images
+from warpsar.world.world import lacks_images, refuse_both_kinds
 
 MU_NOISE = 10.0  # looks x pixels x relative sampling variance of mu: the gain in 2 ln L that denoising mu could bring
 
@@ -46,9 +46,10 @@ def diagnose_scene(
     All processes of a run go through the whole procedure. They share the fits, folds and draws, and decide as the
     first one does.
     What the `record` holds of an earlier part of the run is not done again. Raises InputError for scenes without
-    measured training views, and for a limit of time on several processes.
+    measured training views or with curves beside them, and for a limit of time on several processes.
     """
     beginning = time.monotonic()
+    refuse_both_kinds(scene)
     once.join(device)
     if once.processes() > 1 and options.time_limit_s is not None:
         raise InputError("--time-limit: found several processes; allowed with one, whose clock alone decides")
