@@ -288,8 +288,8 @@ def survey_kernel(
     # In:
     rays: PathRays,
     cell: wp.array(dtype=wp.vec2i),
-    records: PathRecords,
     # Out:
+    records_out: PathRecords,
     axis_out: wp.array(dtype=int),
     open_out: wp.array(dtype=wp.vec4i),
 ):
@@ -316,7 +316,7 @@ def survey_kernel(
                 v = 2.0 * float(beside - 2) - 0.5
         azimuth = grid.azimuth_start + (float(cell[i][0]) + u) * grid.azimuth_step
         elevation = grid.elevation_start + (float(cell[i][1]) + v) * grid.elevation_step
-        mark[n] = follow(rays, azimuth, elevation, wp.vec4(), wp.vec3(), False, records)
+        mark[n] = follow(rays, azimuth, elevation, wp.vec4(), wp.vec3(), False, records_out)
     opens = wp.vec4i(0, 0, 0, 0)
     for side in range(4):
         other = mark[SIDE * SIDE + side]

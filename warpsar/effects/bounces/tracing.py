@@ -361,7 +361,7 @@ def _surveyed(
         at: wp.array = wp.array((cell + start).astype(np.int32), dtype=wp.vec2i, device=device)
         axis: wp.array = wp.empty(len(cell), dtype=int, device=device)
         opens: wp.array = wp.empty(len(cell), dtype=wp.vec4i, device=device)
-        wp.launch(kernels.survey_kernel, len(cell), inputs=[followed, at, none], outputs=[axis, opens], device=device)
+        wp.launch(kernels.survey_kernel, len(cell), inputs=[followed, at], outputs=[none, axis, opens], device=device)
         cells.append(cell)
         axes.append(axis.numpy().astype(np.int64))
         owner, side = np.nonzero(opens.numpy())
