@@ -178,17 +178,20 @@ def test_a_group_that_holds_a_part_of_an_object_is_no_body() -> None:
 
 
 def test_free_aim_points_hold_places_where_no_body_stays() -> None:
-    """A view's own shift and a body's are one, if nothing else stands there that both could be told from."""
+    """A view's own shift and a body's are one, if nothing else stands there that both could be told from, and no view
+    lies where it should."""
     scene = true_scene()
     both = [Object(group=name, **MOVED) for name in ("cube", "hut")]
     one, two = composed(scene, scene, both[:1], ()), composed(scene, scene, both, ())
-    aimed = {"aim_point": {"range_m": {"v0": 0.2}}}
+    aimed = {"aim_point": {"range_m": dict.fromkeys((view.name for view in scene.views), 0.2)}}
     cube, hut = ([f"objects.{name}.{key}" for key in ("position_m", "heading_deg")] for name in ("cube", "hut"))
     assert coordinates(scene, two) == [*cube, *hut]
     assert coordinates(scene, replace(one, effects=aimed)) == cube
     assert coordinates(scene, replace(two, effects=aimed)) == [cube[1], hut[1]]
     held = {"aim_point": {**aimed["aim_point"], "fixed": True}}
     assert coordinates(scene, replace(two, effects=held)) == [*cube, *hut]
+    of_one = {"aim_point": {"range_m": {scene.views[0].name: 0.2}}}
+    assert coordinates(scene, replace(two, effects=of_one)) == [*cube, *hut]
 
 
 # ---- how models are compared ----
