@@ -251,7 +251,7 @@ def test_what_was_moved_before_is_fitted_anew_beside_an_addition(tmp_path: Path)
     assert turn.fitted is not None
     assert turn.fitted.scene.objects[0].position_m[0] != pytest.approx(0.8, abs=0.02)
     # one change alone was fitted with all else
-    turn = Turn([], "object_pose hut", turn.spot, 0.0, 1.0, 1.0, fitted, fitted_of(aside)[1])
+    turn = Turn([], "object_pose hut", turn.spot, 0.0, 1.0, 1.0, fitted_of(declared)[1], fitted_of(aside)[1])
     assert with_all_anew(setup, turn, declared) is setup
 
 
