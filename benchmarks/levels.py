@@ -70,7 +70,7 @@ def beside() -> str:
                 if {"HH", "VV"} <= means.keys():
                     apart += f" ({means['VV'][AT] - means['HH'][AT]:.1f})"
                 middle = [own[band][one][AT] - means[one][AT] for one in ("HH", "VV") if one in means]
-                within = "yes" if max(map(abs, middle)) <= SURFACES[name].spread_db else "no"
+                within = "yes" if max(map(abs, middle)) <= SURFACES[name].spread_db else "no"  # of C to Ku band
                 rows.append([f"`{name}`", band, source, *ranges, within, apart])
     head = ["surface", "band", "published", "HH [dB]", "VV [dB]", "HV [dB]"]
     head += ["HH, VV at 40° within spread_db", "VV - HH at 40° (published)"]

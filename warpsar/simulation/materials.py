@@ -51,7 +51,7 @@ def sigma0_db(surface: Material, polarization: str, frequency_hz: float, inciden
 
 def levels(name: str, incidence_deg: Sequence[float] = (20.0, 40.0, 60.0)) -> dict[str, dict[str, np.ndarray]]:
     """Median sigma0 [dB] of a surface of the library at incidences [deg], by band (L, C, X, Ku) and polarization (HH,
-    VV, HV). It is computed by the surface's model. Places differ from it by the surface's `spread_db`."""
+    VV, HV). It is computed by the surface's model. Places differ from it by the surface's `spread_at` the band."""
     angles = np.asarray(incidence_deg, dtype=float)
     return {
         band: {one: sigma0_db(material(name, hertz), one, hertz, angles) for one in ("HH", "VV", "HV")}
@@ -88,7 +88,8 @@ def _listed(names: Sequence[str], frequency_hz: float) -> list[str]:
         ranges = [f"{value:g} ({low:g} to {high:g})" for value, (low, high) in zip(lengths, spans, strict=True)]
         words = f"{one.words}, without {one.lacks}" if one.lacks else one.words
         shown_db = [f"{db:.1f} dB" for db in found]
-        rows.append([name, shown, surface.model, *ranges, *shown_db, f"{one.spread_db:g} dB", f"{words}; {one.source}"])
+        spread = f"{one.spread_at(frequency_hz):.2g} dB" if one.spread_known(frequency_hz) else "not known"
+        rows.append([name, shown, surface.model, *ranges, *shown_db, spread, f"{words}; {one.source}"])
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     return ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
 

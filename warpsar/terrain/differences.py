@@ -437,15 +437,15 @@ def _difference(
     unit = "m" if name in MOVES else "dB"
     scale = 1.0 if unit == "m" else DB
     at, reach = scale * value, scale * NORMAL_95 * sd
-    granted = _granted(cells, name, tied)
+    granted = _granted(found.product.frequency_hz, cells, name, tied)
     beyond = granted is None or abs(at) - reach > granted
     made = TerrainDifference(name, at, at - reach, at + reach, unit, gain, tied, granted, beyond, "")
     return replace(made, words=_words(found, cells, made))
 
 
-def _granted(cells: _Cells, name: str, tied: tuple[str, ...]) -> float | None:
+def _granted(hertz: float, cells: _Cells, name: str, tied: tuple[str, ...]) -> float | None:
     """What needs no name: levels of the library within their spread, places within what orbits allow."""
-    spreads = {surface: NORMAL_95 * SURFACES[surface].spread_db for surface in cells.surfaces}
+    spreads = {surface: NORMAL_95 * SURFACES[surface].spread_at(hertz) for surface in cells.surfaces}
     if name == "calibration":
         # the surfaces' own levels may all lie off together by chance
         return float(np.sqrt(np.sum(np.square([*spreads.values()]))) / len(spreads))
@@ -506,7 +506,8 @@ def _place_and_surfaces(
         name: DB * float(np.log(np.interp(angle, ANGLES_DEG, surface_sigma0(name, found.product)))) for name in SURFACES
     }
     wanted = level[cells.surfaces[of]] + value_db
-    near = sorted((abs(at - wanted) / SURFACES[name].spread_db, name) for name, at in level.items())
+    hertz = found.product.frequency_hz
+    near = sorted((abs(at - wanted) / SURFACES[name].spread_at(hertz), name) for name, at in level.items())
     like = [name for off, name in near if off < 1.0 and name != cells.surfaces[of]][:3]
     return latitude, longitude, f"its level is that of {', '.join(like)}" if like else "of no level in the library"
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from functools import partial
 
 from warpsar.world.frame import SPEED_OF_LIGHT
@@ -25,6 +25,11 @@ BANDS_HZ = {"L": 1.3e9, "C": 5.4e9, "X": 9.6e9, "Ku": 16e9}
 """Carriers at which levels are listed."""
 
 
+def band_of(frequency_hz: float) -> str:
+    """The band of `BANDS_HZ` whose carrier is nearest to a frequency [Hz], by their ratio."""
+    return min(BANDS_HZ, key=lambda band: abs(math.log(BANDS_HZ[band] / frequency_hz)))
+
+
 @dataclass(frozen=True)
 class LibrarySurface:
     """A material of the library. Lengths are in millimetres here, for people who read the list.
@@ -32,9 +37,11 @@ class LibrarySurface:
     `permittivity` takes a frequency [Hz] and gives eps' - j eps''; `source` states it, and `band_ghz` is where that
     holds. The ranges of rms height and correlation length, `stated_mm` of the two, and `slope_variance` of the large
     scale (of the model two_scale; per axis) are our choice and not a measurement. `spread_db` is one standard deviation
-    of the level [dB] from place to place, without speckle; it is our choice, too. `published` says what published
-    levels the roughness was set beside, and is empty where we could read none. `choice` says how it was chosen. `lacks`
-    says what makes the real surface brighter and has no model here.
+    of the level [dB] from place to place, without speckle; it is our choice, too, and stands for C to Ku band alone.
+    `off_db` says in which bands, of `BANDS_HZ`, a published mean lies beyond it: by how much [dB], at 40 degrees, in HH
+    or VV, whichever is more. `published` says what published levels the roughness was set beside, and is empty where we
+    could read none. `choice` says how it was chosen. `lacks` says what makes the real surface brighter and has no model
+    here.
     """
 
     words: str
@@ -50,6 +57,16 @@ class LibrarySurface:
     slope_variance: float | None = None
     learn: tuple[SurfaceKey, ...] = ALL
     lacks: str = ""
+    off_db: Mapping[str, float] = field(default_factory=dict)
+
+    def spread_at(self, frequency_hz: float) -> float:
+        """One standard deviation of the level [dB] in the band of `BANDS_HZ` that is nearest to a frequency [Hz]: from
+        place to place and, where published means lie beyond that, of the surface's own error, too."""
+        return math.hypot(self.spread_db, self.off_db.get(band_of(frequency_hz), 0.0))
+
+    def spread_known(self, frequency_hz: float) -> bool:
+        """Whether the spread stands for a frequency [Hz]: at L band it does where a published mean is beside it."""
+        return band_of(frequency_hz) != "L" or "L" in self.off_db
 
     @property
     def model(self) -> str:
@@ -108,14 +125,22 @@ def _building(
 
 
 def _ground(
-    words: str, kind: str, moisture: float, lengths: Range, stated: tuple[float, float], spread_db: float, choice: str
+    words: str,
+    kind: str,
+    moisture: float,
+    lengths: Range,
+    stated: tuple[float, float],
+    spread_db: float,
+    choice: str,
+    off_at_l_db: float,
 ) -> LibrarySurface:
     def permittivity(frequency_hz: float) -> complex:
         return eps.soil(kind, frequency_hz, moisture)
 
     source = f"ITU-R P.527-4, {kind}, {100 * moisture:g} % water"
     heights, band = (1.0, 30.0), (1.0, 1000.0)
-    return LibrarySurface(words, permittivity, source, band, heights, lengths, stated, spread_db, choice, _HANDBOOK)
+    given = heights, lengths, stated, spread_db, choice, _HANDBOOK
+    return LibrarySurface(words, permittivity, source, band, *given, off_db={"L": off_at_l_db})
 
 
 def _sea(frequency_hz: float) -> complex:
@@ -171,30 +196,36 @@ SURFACES: dict[str, LibrarySurface] = {
         learn=ROUGH,
     ),
     "soil_dry": _ground(
-        *("bare dry soil", "sandy loam", 0.05, (5.0, 200.0), (9.0, 90.0), 4.0), "h and l by the level at C"
+        *("bare dry soil", "sandy loam", 0.05, (5.0, 200.0), (9.0, 90.0), 4.0), "h and l by the level at C", 6.8
     ),
-    "soil_wet": _ground(*("bare wet soil", "loam", 0.30, (5.0, 200.0), (6.0, 90.0), 4.0), "h and l by the level at C"),
+    "soil_wet": _ground(
+        *("bare wet soil", "loam", 0.30, (5.0, 200.0), (6.0, 90.0), 4.0), "h and l by the level at C", 6.7
+    ),
     "grass": _ground(
         *("short grass on moist soil, as bare soil", "sandy loam", 0.20, (5.0, 200.0), (8.0, 150.0), 3.0),
         "a soil as bright as grass, by the level at C",
+        3.9,
     ),
     "water_calm": LibrarySurface(
         *("calm sea", *_SEA, (0.0, 0.5), _SEA_LENGTHS, (0.5, 60.0), 6.0),
         "h, l and slopes by all four bands",
         _NRL.format("0", "2"),
         0.01,
+        off_db={"L": 7.4},
     ),
     "water_rough": LibrarySurface(
         *("sea with waves of wind", *_SEA, (0.5, 3.0), _SEA_LENGTHS, (1.2, 100.0), 4.0),
         "h, l and slopes by all four bands",
         _NRL.format("3", "7"),
         0.02,
+        off_db={"L": 6.3},
     ),
     "snow_dry": LibrarySurface(
         *("surface of dry snow, 0.3 g/cm3", _dry_snow, "Maetzler (1996)", (0.1, 40.0), *_SNOW),
         _AS_SNOW,
         _HANDBOOK,
         lacks="snow's grains and the ground below",
+        off_db={"L": 8.0, "C": 7.3},
     ),
     "snow_wet": LibrarySurface(
         "surface of wet snow, 0.3 g/cm3, 3 % water",
@@ -205,6 +236,7 @@ SURFACES: dict[str, LibrarySurface] = {
         _AS_SNOW,
         _HANDBOOK,
         lacks="snow's grains",
+        off_db={"L": 6.6},
     ),
 }
 """Every surface, by the name that a scene file says."""
