@@ -185,7 +185,7 @@ def vehicle(folder: Path) -> Shot:
     front = np.array(
         [(-1.7, 2.3, 0.85), (1.7, 2.3, 0.85), (1.7, 3.4, 1.0), (-1.7, 3.4, 1.0), (-1.7, 2.3, 1.55), (1.7, 2.3, 1.55)]
     )
-    parts.add("hull", front, np.array([(4, 3, 2), (4, 2, 5), (0, 1, 2), (0, 2, 3), (0, 3, 4), (1, 5, 2)]))
+    parts.add("hull", front, np.array([(4, 2, 3), (4, 5, 2), (0, 2, 1), (0, 3, 2), (0, 4, 3), (1, 2, 5)]))
     parts.frustum("hull", (0.0, -0.4, 1.55), (1.35, 1.0), 0.75, 10)
     parts.rod("tracks", (0.0, 0.6, 1.95), (0.0, 5.0, 2.05), 0.09)
     parts.cylinder("tracks", (0.5, -0.9, 2.3), 0.3, 0.25, 16)
@@ -349,8 +349,8 @@ def wind_turbine(folder: Path) -> Shot:
             wide = side * np.cos(twist) + np.array([0.0, np.sin(twist), 0.0])
             rings.append(hub + along * out + np.outer(chord * np.cos(t), wide) + np.outer(thick * np.sin(t), (0, 1, 0)))
         a, b = np.arange(64), (np.arange(64) + 1) % 64
-        strips = [np.stack([a + k, b + k, b + k + 64], 1) for k in range(0, 39 * 64, 64)]
-        strips += [np.stack([a + k, b + k + 64, a + k + 64], 1) for k in range(0, 39 * 64, 64)]
+        strips = [np.stack([a + k, b + k + 64, b + k], 1) for k in range(0, 39 * 64, 64)]
+        strips += [np.stack([a + k, a + k + 64, b + k + 64], 1) for k in range(0, 39 * 64, 64)]
         parts.add("blades", np.concatenate(rings), np.concatenate(strips))
     parts.box("concrete", (0.0, 0.0, 0.0), (8.0, 8.0, 0.8))
     parts.box("painted_steel", (9.0, 3.0, 0.6), (3.0, 5.0, 2.5))

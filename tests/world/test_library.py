@@ -322,7 +322,7 @@ def test_levels_at_40_degrees_lie_within_their_spread_or_the_surface_says_how_fa
     ],
 )
 def test_the_list_says_the_spread_of_its_band(name: str, gigahertz: float, said: str) -> None:
-    """Where a published mean lies beyond `spread_db`: the root of both squares. Man-made surfaces have none at L band."""
+    """Where a published mean lies beyond `spread_db`: the root of both squares."""
     result = CliRunner().invoke(main, ["materials", name, "--frequency", f"{gigahertz}e9"])
     row = result.stdout.splitlines()[1]
     assert row[: row.index(SURFACES[name].words)].rstrip().endswith(f"  {said}")
