@@ -820,7 +820,9 @@ def test_stairs_by_few_and_by_many_rays() -> None:
                 materials=surface,
             ),
             device="cpu",
-        )[0].beta0["HH"].astype(float)
+        )[0]
+        .beta0["HH"]
+        .astype(float)
         for rays in (64.0, 1024.0)
     )
     about = [
