@@ -826,7 +826,9 @@ def test_stairs_by_few_and_by_many_rays() -> None:
         for rays in (64.0, 1024.0)
     )
     about = [
-        sum(np.roll(image, (i, j), (0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1))[many > 0.01 * many.max()]
+        np.sum([np.roll(image, (i, j), (0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1)], axis=0)[
+            many > 0.01 * many.max()
+        ]
         for image in (few, many)
     ]
     print(f"of nine pixels: {np.abs(db(about[0] / about[1])).max():.2f} dB at most")
