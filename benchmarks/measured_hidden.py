@@ -5,8 +5,8 @@
     python benchmarks/measured_hidden.py table -o OUT
 
 Each trial is a copy of the folder with one error in it. `warpsar diagnose scene.toml --folds 3` runs in it, as a
-process of its own. The table has what it says: whether the body is ahead of every rival, the deviance of views left out, its
-lead in correlation over the best picture and over a box, and the numbers that were found.
+process of its own. The table has what it says: whether the body is ahead of every rival, the deviance of views left
+out, its lead in correlation over the best picture and over a box, and the numbers that were found.
 """
 
 from __future__ import annotations
