@@ -109,10 +109,13 @@ class Case:
             self.armed = False
         return None
 
-    def run(self, name: str, index: int, seed: int) -> dict[str, Any]:
+    def run(self, name: str, index: int, seed: int, content: str | None = None) -> dict[str, Any]:
+        """The case `index`; or `content`, in hexadecimal digits, as the attacked file."""
         reader = self.readers[name]
         reader.lay_out(self.folder)
-        attack = reader.spoil(self.folder, index, seed)
+        attack = reader.spoil(self.folder, index, seed) if content is None else None
+        if content is not None:
+            (self.folder / reader.target).write_bytes(bytes.fromhex(content))
         before = _contents(self.folder)
         os.chdir(self.folder)
         os.ftruncate(self.capture, 0)
@@ -145,7 +148,7 @@ class Case:
 
 
 def work() -> None:
-    """Read [reader, index, seed] lines from stdin, answer each with what happened."""
+    """Read lines of `Case.run`'s arguments as JSON from stdin, answer each with what happened."""
     import warnings
 
     answers = os.fdopen(os.dup(1), "w")
@@ -213,10 +216,12 @@ class Worker:
         line = self.process.stdout.readline()
         return json.loads(line) if line else "crash"
 
-    def run(self, name: str, index: int, seed: int) -> dict[str, Any]:
+    def run(self, name: str, index: int, seed: int, content: bytes | None = None) -> dict[str, Any]:
+        """What became of the case `index`, or of a file of this `content`."""
         process = self.process or self.start()
         assert process.stdin is not None
-        process.stdin.write(json.dumps([name, index, seed]) + "\n")
+        given = [name, index, seed] if content is None else [name, index, seed, content.hex()]
+        process.stdin.write(json.dumps(given) + "\n")
         process.stdin.flush()
         answer = self._answer(TIME_S)
         if isinstance(answer, dict):

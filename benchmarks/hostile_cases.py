@@ -1,7 +1,7 @@
 """Hostile files: for every reader a small sound folder, crafted attacks on it, and seeded mutations of its file.
 
 A case is (reader, index): the first indices are the reader's crafted attacks, then what is no file at all, the rest
-mutations, each made by a random generator of its own, so that any case can be made again alone.
+mutations, each made by random numbers of its own, so that any case can be made again alone.
 """
 
 from __future__ import annotations
@@ -9,15 +9,14 @@ from __future__ import annotations
 import os
 import shutil
 import struct
-import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
+from random import Random
 
 import hostile_attacks as attacks_on
 import hostile_measured as measured_attacks
-import numpy as np
 from hostile_attacks import PLACES, Attack, attack
 from hostile_files import FIFO, LOOP, TAG, VIEW, glb, scene_text, sound
 from hostile_mutations import mutate_bytes, mutate_glb, mutate_json, mutate_png, mutate_toml, mutate_zip
@@ -34,7 +33,7 @@ class Reader:
     command: Callable[[Path], list[str]] | None
     attacks: tuple[Attack, ...] = ()
     optional: bool = False  # what is not there, or no file, is left out
-    mutate: Callable[[np.random.Generator, bytes], bytes] = field(default=lambda rng, data: mutate_bytes(rng, data))
+    mutate: Callable[[Random, bytes], bytes] = field(default=lambda rng, data: mutate_bytes(rng, data))
 
     def lay_out(self, folder: Path) -> None:
         """The sound folder, with a FIFO and a symlink to itself for names to point at."""
@@ -51,14 +50,17 @@ class Reader:
         if index < len(attacks):
             attacks[index].make(folder / self.target)
             return attacks[index]
-        rng = np.random.default_rng([seed, zlib.crc32(self.name.encode()), index])
+        (folder / self.target).write_bytes(self.mutated(Random(f"{seed} {self.name} {index}")))
+        return None
+
+    def mutated(self, rng: Random) -> bytes:
+        """The attacked file with a mutation."""
         data = self.base[self.target]
         for _ in range(20):
             changed = self.mutate(rng, data)
             if changed != data:
                 break
-        (folder / self.target).write_bytes(changed)
-        return None
+        return changed
 
 
 def _load(folder: Path) -> None:
