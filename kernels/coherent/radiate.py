@@ -284,9 +284,14 @@ def flat_sent(
 def slab_sent(
     stuff: Face, k: wp.float64, integral: wp.vec2d, n: wp.vec3d, s: wp.vec3d, u: wp.vec3d, v: wp.vec3d
 ) -> Four:
-    """What the polarization of a slab in air sends back of a plane wave beyond `flat_sent`; nothing of other faces."""
+    """What the polarization of a slab in air sends back of a plane wave beyond `flat_sent`; nothing of other faces.
+
+    Of a stack, and of a magnetic slab, too, nothing: they have the coefficient of reflection alone.
+    """
     found = Four()
-    if stuff.layer == 0 or stuff.conductor != 0:
+    if stuff.layer != 1 or stuff.conductor != 0:
+        return found
+    if stuff.permeability[0] != wp.float64(1.0) or stuff.permeability[1] != wp.float64(0.0):
         return found
     if wp.dot(n, s) < wp.float64(0.0):
         n = -n

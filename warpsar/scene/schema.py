@@ -34,6 +34,7 @@ _SURFACES: list[_Json] = [  # of the library, rough, smooth, or a conductor
     {"required": ["library"]},
     {"required": list(_ROUGH)},
     {"required": ["eps_r", "rms_height_m"], "properties": {"rms_height_m": {"const": 0}}},
+    {"required": ["layers"]},
     {"required": ["conductor"], "properties": {"conductor": {"const": True}}},
 ]
 
