@@ -53,7 +53,12 @@ class Load:
 
 @wp.func
 def on_top(
-    below: Load, permittivity: wp.vec2d, permeability: wp.vec2d, thickness: wp.float64, k: wp.float64, cosine: wp.float64
+    below: Load,
+    permittivity: wp.vec2d,
+    permeability: wp.vec2d,
+    thickness: wp.float64,
+    k: wp.float64,
+    cosine: wp.float64,
 ) -> Load:
     """What a layer makes of the stack below it. The wave in it fades both ways, so a thick layer cannot overflow."""
     one = wp.vec2d(wp.float64(1.0), wp.float64(0.0))

@@ -364,7 +364,9 @@ class Layer(Table):
         parts = tuple(value) if isinstance(value, list | tuple) and len(value) == 2 else (value, 0.0)
         if all(map(_is_number, parts)) and 0.0 < parts[0] <= LARGEST_OF_LAYER >= -parts[1] >= 0.0:
             return float(value) if _is_number(value) else (float(parts[0]), float(parts[1]))
-        raise ValueError(f"must be a number above 0 to {LARGEST_OF_LAYER:g}, or that and one from -{LARGEST_OF_LAYER:g} to 0")
+        raise ValueError(
+            f"must be a number above 0 to {LARGEST_OF_LAYER:g}, or that and one from -{LARGEST_OF_LAYER:g} to 0"
+        )
 
 
 class Material(_WithOwn):
