@@ -7,7 +7,6 @@ import warp as wp
 
 from warpsar.kernels.coherent.numbers import exponential, faded, product, quotient, square_root
 
-
 UNDER = wp.constant(7)
 """Most layers below the outermost one."""
 Under = wp.types.matrix(shape=(7, 5), dtype=wp.float64)
@@ -176,9 +175,9 @@ def seen(field: Field, back: Field, d: wp.vec3d, out: wp.vec3d, n: wp.vec3d, s: 
 def slab_seen(face: Face, k: wp.float64, e: wp.vec3d, d: wp.vec3d, n: wp.vec3d, s: wp.vec3d, p: wp.vec3d) -> wp.vec2d:
     """As `seen`, of a slab's polarization currents: jk (eps - 1) p . INT E e^{jk s.z} dz over its thickness, in air.
 
-    Of one layer that is not magnetic. E is that of an endless slab that a wave `e` meets along `d`: of the wave that goes down, and of the one that comes
-    up. Its normal part is what a surface with a coefficient of reflection has not (Le Vine, Schneider, Lang, Carter,
-    IEEE TAP 33(12), 1985, for thin plates). In the mirror direction both are one.
+    Of one layer that is not magnetic. E is that of an endless slab that a wave `e` meets along `d`: of the wave that
+    goes down, and of the one that comes up. Its normal part is what a surface with a coefficient of reflection has not
+    (Le Vine, Schneider, Lang, Carter, IEEE TAP 33(12), 1985, for thin plates). In the mirror direction both are one.
     """
     one = wp.vec2d(wp.float64(1.0), wp.float64(0.0))
     eps = face.permittivity
