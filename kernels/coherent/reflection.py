@@ -137,14 +137,20 @@ def across_plane(d: wp.vec3d, n: wp.vec3d) -> wp.vec3d:
 
 
 @wp.func
+def mirrored(field: Field, n: wp.vec3d) -> Field:
+    """The field that a smooth bare conductor sends back."""
+    found = Field()
+    found.re = wp.float64(2.0) * wp.dot(n, field.re) * n - field.re
+    found.im = wp.float64(2.0) * wp.dot(n, field.im) * n - field.im
+    return found
+
+
+@wp.func
 def reflected(face: Face, k: wp.float64, field: Field, d: wp.vec3d, n: wp.vec3d, out: wp.vec3d) -> Field:
     """The field that leaves along `out` where `field` meets a face along `d`; n . d < 0."""
-    two = wp.float64(2.0)
     found = Field()
     if face.conductor != 0 and face.layer == 0 and face.rms_height == wp.float64(0.0):
-        found.re = two * wp.dot(n, field.re) * n - field.re
-        found.im = two * wp.dot(n, field.im) * n - field.im
-        return found
+        return mirrored(field, n)
     cosine = wp.min(-wp.dot(n, d), wp.float64(1.0))
     both = coefficients(face, k, cosine)
     across = across_plane(d, n)
