@@ -148,7 +148,7 @@ def _layer(scene: World, name: str, material: Material, key: str) -> RcsParamete
     def gradient(slopes: TubeSlopes) -> NDArray[np.float64]:
         stuff = slopes.stuff[index]
         outer = np.concatenate([stuff["permittivity"], stuff["permeability"], [stuff["thickness"]]])
-        whole = sum(outer if each == 0 else stuff["under"][each - 1] for each in moved)
+        whole = np.sum([outer if each == 0 else stuff["under"][each - 1] for each in moved], axis=0)
         both = whole[{"eps_r": slice(0, 2), "mu_r": slice(2, 4), "thickness_m": slice(4, 5)}[of]]
         return np.array(both if pair else both[0])
 

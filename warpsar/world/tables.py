@@ -491,17 +491,18 @@ class Material(_WithOwn):
         """The layers from the outermost one inward; of a half-space and of a bare conductor none."""
         if self.thickness_m is None:
             return self.layers
-        return (Layer(eps_r=self.eps_r, thickness_m=self.thickness_m),)
+        eps: Any = self.eps_r
+        return (Layer(eps_r=eps, thickness_m=self.thickness_m),)
 
     @property
     def solid(self) -> bool:
         """Whether its faces bound a half-space, as of a solid dielectric."""
-        return not self.conductor and not self.stack
+        return not self.conductor and not self.layers and self.thickness_m is None
 
     @property
     def bare(self) -> bool:
         """Whether it is a conductor without a layer."""
-        return self.conductor and not self.stack
+        return self.conductor and not self.layers and self.thickness_m is None
 
     @property
     def fields(self) -> list[str]:
