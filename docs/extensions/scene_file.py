@@ -91,6 +91,8 @@ def _shown(value: Any) -> str:
         table = tomlkit.inline_table()
         table.update(value)
         return f"`{table.as_string()}`"
+    if isinstance(value, list) and value and all(isinstance(each, dict) for each in value):
+        return f"`[{', '.join(_shown(each).strip('`') for each in value)}]`"
     return f"`{f'{value:g}' if isinstance(value, float) and value >= 1e5 else tomlkit.item(value).as_string()}`"
 
 
@@ -104,7 +106,8 @@ def _value(field: dict[str, Any], unit: str = "") -> str:
         case "array" if isinstance(field["items"], list):
             return f"\\[{'; '.join(_value(each, unit) for each in field['items'])}\\]"
         case "array":
-            count = f"{field['maxItems']}, each a " if "maxItems" in field else ""
+            most = "" if "minItems" in field else "at most "
+            count = f"{most}{field['maxItems']}, each a " if "maxItems" in field else ""
             return f"list of {count}{_value(field['items'], unit)}"
         case "object" if "properties" in field:
             return f"table of {' and '.join(f'`{key}`' for key in field['properties'])}"

@@ -7,16 +7,23 @@ import warp as wp
 
 from warpsar.kernels.coherent.numbers import exponential, faded, product, quotient, square_root
 
+UNDER = wp.constant(7)
+"""Most layers below the outermost one."""
+Under = wp.types.matrix(shape=(7, 5), dtype=wp.float64)
+"""A row for each layer below: eps', -eps'', mu', -mu'', thickness [m]."""
+
 
 @wp.struct
 class Face:
     """What a face is made of at one frequency. Without `layer` a half-space, or a conductor."""
 
     conductor: int
-    layer: int  # a slab: on the conductor, or in air
-    permittivity: wp.vec2d
+    layer: int  # how many: on the conductor, or in air
+    permittivity: wp.vec2d  # of the outermost layer, or of the half-space
+    permeability: wp.vec2d  # of the outermost layer
     thickness: wp.float64  # [m]
     rms_height: wp.float64  # [m]
+    under: Under
 
 
 @wp.struct
@@ -33,36 +40,85 @@ class Coefficients:
     tm: wp.vec2d
 
 
+@wp.struct
+class Load:
+    """Tangential electric and magnetic field (times eta) at the top of a stack, each to a factor of its own."""
+
+    te_e: wp.vec2d
+    te_h: wp.vec2d
+    tm_e: wp.vec2d
+    tm_h: wp.vec2d
+
+
 @wp.func
-def stacked(first: wp.vec2d, last: wp.vec2d, passed: wp.vec2d) -> wp.vec2d:
-    """Reflection of a layer with the coefficients of its upper and lower face; `passed`: there and back again."""
+def on_top(
+    below: Load,
+    permittivity: wp.vec2d,
+    permeability: wp.vec2d,
+    thickness: wp.float64,
+    k: wp.float64,
+    cosine: wp.float64,
+) -> Load:
+    """What a layer makes of the stack below it. The wave in it fades both ways, so a thick layer cannot overflow."""
     one = wp.vec2d(wp.float64(1.0), wp.float64(0.0))
-    back = product(last, passed)
-    return quotient(first + back, one + product(first, back))
+    q = square_root(product(permittivity, permeability) - (wp.float64(1.0) - cosine * cosine) * one)
+    way = wp.float64(2.0) * k * thickness
+    passed = exponential(wp.vec2d(way * q[1], -way * q[0]))
+    admittance = quotient(q, permeability)
+    impedance = quotient(q, permittivity)
+    te = product(admittance, below.te_e)
+    te = product(quotient(te - below.te_h, te + below.te_h), passed)
+    tm = product(impedance, below.tm_h)
+    tm = product(quotient(below.tm_e - tm, below.tm_e + tm), passed)
+    found = Load()
+    found.te_e = one + te
+    found.te_h = product(admittance, one - te)
+    found.tm_e = product(impedance, one + tm)
+    found.tm_h = one - tm
+    return found
+
+
+@wp.func
+def of_layers(face: Face, k: wp.float64, cosine: wp.float64) -> Coefficients:
+    """Reflection of a stack of layers by their transfer matrices, from the lowest up (Born and Wolf, 1.6)."""
+    one = wp.vec2d(wp.float64(1.0), wp.float64(0.0))
+    load = Load()
+    load.te_h = one
+    load.tm_h = one
+    if face.conductor == 0:  # air
+        load.te_e = one
+        load.te_h = cosine * one
+        load.tm_e = cosine * one
+    for i in range(UNDER):
+        row = 6 - i
+        if row + 1 < face.layer:
+            eps = wp.vec2d(face.under[row, 0], face.under[row, 1])
+            mu = wp.vec2d(face.under[row, 2], face.under[row, 3])
+            load = on_top(load, eps, mu, face.under[row, 4], k, cosine)
+    load = on_top(load, face.permittivity, face.permeability, face.thickness, k, cosine)
+    found = Coefficients()
+    found.te = quotient(cosine * load.te_e - load.te_h, cosine * load.te_e + load.te_h)
+    found.tm = quotient(load.tm_e - cosine * load.tm_h, load.tm_e + cosine * load.tm_h)
+    return found
 
 
 @wp.func
 def coefficients(face: Face, k: wp.float64, cosine: wp.float64) -> Coefficients:
-    """Fresnel's coefficients, of a layer its whole stack's (Born and Wolf, 1.6); with the loss of a rough face."""
+    """Fresnel's coefficients, of layers their whole stack's; with the loss of a rough face."""
     minus = wp.vec2d(wp.float64(-1.0), wp.float64(0.0))
     te = minus
     tm = minus
-    if face.conductor == 0 or face.layer != 0:
+    if face.layer != 0:
+        both = of_layers(face, k, cosine)
+        te = both.te
+        tm = both.tm
+    elif face.conductor == 0:
         eps = face.permittivity
         c = wp.vec2d(cosine, wp.float64(0.0))
         q = square_root(eps - wp.vec2d(wp.float64(1.0) - cosine * cosine, wp.float64(0.0)))
         along = quotient(q, eps)
         te = quotient(c - q, c + q)
         tm = quotient(along - c, along + c)
-        if face.layer != 0:
-            way = wp.float64(2.0) * k * face.thickness
-            passed = exponential(wp.vec2d(way * q[1], -way * q[0]))
-            if face.conductor != 0:
-                te = stacked(te, minus, passed)
-                tm = stacked(tm, minus, passed)
-            else:
-                te = stacked(te, -te, passed)
-                tm = stacked(tm, -tm, passed)
     height = k * face.rms_height * cosine
     loss = wp.exp(-wp.float64(2.0) * height * height)
     found = Coefficients()
@@ -81,14 +137,20 @@ def across_plane(d: wp.vec3d, n: wp.vec3d) -> wp.vec3d:
 
 
 @wp.func
+def mirrored(field: Field, n: wp.vec3d) -> Field:
+    """The field that a smooth bare conductor sends back."""
+    found = Field()
+    found.re = wp.float64(2.0) * wp.dot(n, field.re) * n - field.re
+    found.im = wp.float64(2.0) * wp.dot(n, field.im) * n - field.im
+    return found
+
+
+@wp.func
 def reflected(face: Face, k: wp.float64, field: Field, d: wp.vec3d, n: wp.vec3d, out: wp.vec3d) -> Field:
     """The field that leaves along `out` where `field` meets a face along `d`; n . d < 0."""
-    two = wp.float64(2.0)
     found = Field()
     if face.conductor != 0 and face.layer == 0 and face.rms_height == wp.float64(0.0):
-        found.re = two * wp.dot(n, field.re) * n - field.re
-        found.im = two * wp.dot(n, field.im) * n - field.im
-        return found
+        return mirrored(field, n)
     cosine = wp.min(-wp.dot(n, d), wp.float64(1.0))
     both = coefficients(face, k, cosine)
     across = across_plane(d, n)
@@ -119,9 +181,9 @@ def seen(field: Field, back: Field, d: wp.vec3d, out: wp.vec3d, n: wp.vec3d, s: 
 def slab_seen(face: Face, k: wp.float64, e: wp.vec3d, d: wp.vec3d, n: wp.vec3d, s: wp.vec3d, p: wp.vec3d) -> wp.vec2d:
     """As `seen`, of a slab's polarization currents: jk (eps - 1) p . INT E e^{jk s.z} dz over its thickness, in air.
 
-    E is that of an endless slab that a wave `e` meets along `d`: of the wave that goes down, and of the one that comes
-    up. Its normal part is what a surface with a coefficient of reflection has not (Le Vine, Schneider, Lang, Carter,
-    IEEE TAP 33(12), 1985, for thin plates). In the mirror direction both are one.
+    Of one layer that is not magnetic. E is that of an endless slab that a wave `e` meets along `d`: of the wave that
+    goes down, and of the one that comes up. Its normal part is what a surface with a coefficient of reflection has not
+    (Le Vine, Schneider, Lang, Carter, IEEE TAP 33(12), 1985, for thin plates). In the mirror direction both are one.
     """
     one = wp.vec2d(wp.float64(1.0), wp.float64(0.0))
     eps = face.permittivity

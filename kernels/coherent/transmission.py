@@ -10,7 +10,7 @@ import warp as wp
 from warpsar.kernels.coherent.cells import RAYS, Cells
 from warpsar.kernels.coherent.numbers import product, quotient, root, sinc, square_root, turned
 from warpsar.kernels.coherent.radiate import HALF_PI, Pair, scaled, unit
-from warpsar.kernels.coherent.reflection import Face, Field, across_plane, received
+from warpsar.kernels.coherent.reflection import Face, Field, across_plane, mirrored, received
 from warpsar.kernels.coherent.tubes import (
     Meeting,
     Tube,
@@ -94,14 +94,6 @@ def reflected_inside(e: Field, d: wp.vec3d, n: wp.vec3d, out: wp.vec3d, index: w
     tm = quotient(q - quotient(c, index), q + quotient(c, index))
     across = across_plane(d, n)
     return along_both(e, across, wp.cross(d, across), te, tm, wp.cross(across, out))
-
-
-@wp.func
-def mirrored(e: Field, n: wp.vec3d) -> Field:
-    found = Field()
-    found.re = wp.float64(2.0) * wp.dot(n, e.re) * n - e.re
-    found.im = wp.float64(2.0) * wp.dot(n, e.im) * n - e.im
-    return found
 
 
 @wp.func

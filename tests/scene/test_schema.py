@@ -79,6 +79,8 @@ def test_scenes_of_the_project_fit(path: Path) -> None:
         ("materials.lawn.eps_r", 2),
         ("materials.lawn", {"conductor": True}),
         ("materials.lawn", {"eps_r": [2.6, -0.04], "rms_height_m": 0, "thickness_m": 0.0015}),
+        ("materials.lawn", {"conductor": True, "layers": [{"mu_r": [1.6, -0.9], "thickness_m": 0.002}]}),
+        ("materials.lawn", {"layers": [{"eps_r": 3.2, "thickness_m": 0.002}]}),
         ("radar.terms", ["single", "edges"]),
         ("materials.lawn", {"layout": "vertex", "eps_r": "e", "rms_height_m": "h", "correlation_length_m": 0.1}),
         ("sampling", {}),
@@ -125,6 +127,9 @@ BROKEN: list[tuple[str, Any]] = [
     ("materials.lawn.eps_r", True),
     ("materials.lawn.rms_height_m", -0.001),
     ("materials.lawn.thickness_m", 0.0),
+    ("materials.lawn", {"layers": [{"eps_r": 0.0, "thickness_m": 0.002}]}),
+    ("materials.lawn", {"layers": [{"mu_r": [2.0, 0.1], "thickness_m": 0.002}]}),
+    ("materials.lawn", {"layers": [{"mu_r": 2.0}]}),
     ("materials.lawn", {"conductor": False}),
     ("materials.lawn", {"eps_r": 4.0, "rms_height_m": 0.001}),
     ("radar.terms", ["double"]),
@@ -222,9 +227,9 @@ def test_schema_is_strict_json_without_references() -> None:
     assert "null" not in text
     # tables of the file, scene.origin and those of the collection among them; effects; each effect,
     # and in it tolerance; { about, sd } of each parameter, and of what materials, objects, views, radar and image know;
-    # the curves' profiles
+    # the curves' profiles, the materials' layers
     tolerances = sum(len(get(name).parameters) for name in names()) + 2 + 3 + 1
-    assert text.count('"additionalProperties": false') == 16 + 1 + 2 * len(names()) + tolerances
+    assert text.count('"additionalProperties": false') == 16 + 2 + 2 * len(names()) + tolerances
 
 
 @pytest.mark.full

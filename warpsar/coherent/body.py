@@ -152,27 +152,30 @@ class CoherentBody:
         packed = records(reflection.Face, (frequencies, len(self.materials)))
         for m, material in enumerate(self.materials):
             packed["conductor"][:, m] = material.conductor
-            packed["layer"][:, m] = material.thickness_m is not None
-            eps = material.eps_r if isinstance(material.eps_r, tuple) else (material.eps_r or 1.0, 0.0)
-            packed["permittivity"][:, m] = eps
-            packed["thickness"][:, m] = material.thickness_m or 0.0
+            layers = [(*_parts(one.eps_r), *_parts(one.mu_r), one.thickness_m) for one in material.stack]
+            packed["layer"][:, m] = len(layers)
+            outer = layers[0] if layers else (*_parts(material.eps_r or 1.0), 1.0, 0.0, 0.0)
+            packed["permittivity"][:, m], packed["permeability"][:, m] = outer[:2], outer[2:4]
+            packed["thickness"][:, m] = outer[4]
+            for row, one in enumerate(layers[1:]):
+                packed["under"][:, m, row] = one
             packed["rms_height"][:, m] = material.rms_height_m or 0.0
         return upload(packed, reflection.Face, self.device)
 
     @property
     def has_slabs(self) -> bool:
         """Whether there is a slab in air."""
-        return any(m.thickness_m is not None and not m.conductor for m in self.materials)
+        return any(m.stack and not m.conductor for m in self.materials)
 
     @property
     def has_solids(self) -> bool:
         """Whether there is a solid dielectric, which is neither a conductor nor a layer."""
-        return any(_solid(m) for m in self.materials)
+        return any(m.solid for m in self.materials)
 
     @property
     def largest_index(self) -> float:
         """Of refraction, of the solid dielectrics; 1 without any."""
-        eps = [m.eps_r[0] if isinstance(m.eps_r, tuple) else m.eps_r for m in self.materials if _solid(m)]
+        eps = [m.eps_r[0] if isinstance(m.eps_r, tuple) else m.eps_r for m in self.materials if m.solid]
         return float(np.sqrt(max([1.0, *(float(each) for each in eps if not isinstance(each, str) and each)])))
 
     @property
@@ -235,8 +238,8 @@ class CoherentBody:
         return upload(packed, edges.Edge, self.device), upload(opposite, edge_waves.Opposite, self.device)
 
 
-def _solid(material: Material) -> bool:
-    return not material.conductor and material.thickness_m is None
+def _parts(value: Any) -> tuple[float, float]:
+    return value if isinstance(value, tuple) else (value, 0.0)
 
 
 def _hull(vertices: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -37,7 +37,7 @@ class TubeSlopes:
 
     def add(self, other: TubeSlopes) -> None:
         self.vertices += other.vertices
-        for name in ("permittivity", "thickness", "rms_height"):
+        for name in ("permittivity", "permeability", "thickness", "under", "rms_height"):
             self.stuff[name] += other.stuff[name]
         for name in ("permittivity", "rms_height", "length"):
             self.surfaces[name] += other.surfaces[name]
@@ -224,7 +224,7 @@ class Held:
         self.program.backward({array: seed})
         stuff = records(reflection.Face, len(self.worker.body.materials))
         found = host(self.stuff.grad)
-        for name in ("permittivity", "thickness", "rms_height"):
+        for name in ("permittivity", "permeability", "thickness", "under", "rms_height"):
             stuff[name] = found[name].sum(axis=0)
         return TubeSlopes(self.vertices.grad.numpy().copy(), stuff, host(self.surfaces.grad).copy())
 

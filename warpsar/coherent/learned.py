@@ -113,8 +113,10 @@ def _vertices(scene: World) -> RcsParameter:
 
 def _material(scene: World, name: str, key: str) -> RcsParameter:
     material, where = scene.materials[name], f"parameters: materials.{name}.{key}"
+    if key.startswith("layers."):
+        return _layer(scene, name, material, key)
     value = getattr(material, key)
-    if key == "eps_r" and material.conductor and material.thickness_m is None:
+    if key == "eps_r" and material.bare:
         raise InputError(f"{where}: a conductor does not depend on it; it has no derivative")
     if key in ("rms_height_m", "correlation_length_m") and material.rms_height_m == 0.0:
         raise InputError(f"{where}: a smooth face has no scatterers; where they appear there is no derivative")
@@ -131,6 +133,23 @@ def _material(scene: World, name: str, key: str) -> RcsParameter:
             both = surface["length"]
             return np.array(both if pair else both.sum())
         both = stuff["permittivity"] + (0.0 if material.conductor else surface["permittivity"])
+        return np.array(both if pair else both[0])
+
+    return RcsParameter((2,) if pair else (), gradient)
+
+
+def _layer(scene: World, name: str, material: Material, key: str) -> RcsParameter:
+    """A value of one of `layers`, `layers.0.mu_r`. In air its mirror image moves with it, as in `parameters.at`."""
+    number, of = int(key.split(".")[1]), key.split(".")[2]
+    index = scene.mesh.materials.index(name)
+    pair = isinstance(getattr(material.layers[number], of), tuple)
+    moved = {number} if material.conductor else {number, len(material.layers) - 1 - number}
+
+    def gradient(slopes: TubeSlopes) -> NDArray[np.float64]:
+        stuff = slopes.stuff[index]
+        outer = np.concatenate([stuff["permittivity"], stuff["permeability"], [stuff["thickness"]]])
+        whole = np.sum([outer if each == 0 else stuff["under"][each - 1] for each in moved], axis=0)
+        both = whole[{"eps_r": slice(0, 2), "mu_r": slice(2, 4), "thickness_m": slice(4, 5)}[of]]
         return np.array(both if pair else both[0])
 
     return RcsParameter((2,) if pair else (), gradient)

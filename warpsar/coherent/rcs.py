@@ -238,7 +238,7 @@ def swept(scene: World, asked: RcsRequest, layers: bool = False) -> Rcs:
         asked.cautions,
     )
     used = [scene.materials[name] for name in scene.mesh.materials]
-    metal = all(one.conductor and one.thickness_m is None for one in used)
+    metal = all(one.bare for one in used)
     if metal and set(CALIBRATED) <= set(scene.radar.terms):
         made = replace(made, model_error_m=_model_error_m(made))
     return replace(made, warnings=(*asked.cautions, *_warnings(scene, made, strongest)))
@@ -374,9 +374,9 @@ def cautions(scene: World) -> list[str]:
     mesh = scene.mesh
     used = {name: scene.materials[name] for name in mesh.materials}
     for name, material in used.items():
-        if material.conductor and material.eps_r is not None and material.thickness_m is None:
+        if material.bare and material.eps_r is not None:
             found.append(f"materials.{name}: eps_r of a conductor has no effect without thickness_m")
-    filled = [i for i, m in enumerate(used.values()) if not m.conductor and m.thickness_m is None]
+    filled = [i for i, m in enumerate(used.values()) if m.solid]
     if filled:
         seams = joints(mesh.vertices, mesh.faces)
         open_edges = seams.other < 0
@@ -386,16 +386,26 @@ def cautions(scene: World) -> list[str]:
                     f"materials.{mesh.materials[i]}: its faces fill a half-space (no thickness_m), and the mesh is "
                     f"open at {count} edges: what is seen from behind is wrong"
                 )
-    dielectrics = sorted(name for name, m in used.items() if not m.conductor and m.thickness_m is None)
+    dielectrics = sorted(name for name, m in used.items() if m.solid)
     if dielectrics and "edges" in scene.radar.terms:
         found.append(
             f"edges of {', '.join(dielectrics)} have no term: away from mirror directions the RCS is too low, often by "
             "many decibels"
         )
-    coated = sorted(name for name, m in used.items() if m.conductor and m.thickness_m is not None)
+    coated = sorted(name for name, m in used.items() if m.conductor and m.stack)
     if coated and "edges" in scene.radar.terms:
         found.append(
             f"edges of {', '.join(coated)} diffract as those of bare metal: right to 3 dB for layers of up to a "
             "twentieth of a wavelength, and wrong by 6 to 13 dB for absorbers"
+        )
+    stacks = sorted(
+        name
+        for name, m in used.items()
+        if not m.conductor and m.stack and (len(m.stack) > 1 or m.stack[0].mu_r not in (1.0, (1.0, 0.0)))
+    )
+    if stacks and "edges" in scene.radar.terms:
+        found.append(
+            f"edges of {', '.join(stacks)} have no term: stacks and magnetic slabs in air have their coefficient of "
+            "reflection alone, which is right around mirror directions"
         )
     return found

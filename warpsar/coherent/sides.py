@@ -28,7 +28,7 @@ def refuse_inside(scene: World, body: CoherentBody, directions: Directions) -> N
     """
     mesh = scene.mesh
     materials = [scene.materials[name] for name in mesh.materials]
-    filled = np.array([not m.conductor and m.thickness_m is None for m in materials])[mesh.face_material]
+    filled = np.array([m.solid for m in materials])[mesh.face_material]
     if not filled.any():
         return
     vertices = mesh.vertices - (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2.0

@@ -138,9 +138,9 @@ class TriedMaterial:
 
 def _alternatives(scene: Scene, name: str, closed: bool, shortest_m: float) -> Iterator[TriedMaterial]:
     material = scene.materials[name]
-    if not material.conductor or material.thickness_m is not None:
+    if not material.bare:
         yield TriedMaterial("metal")
-    if closed and material.thickness_m is None:
+    if closed and not material.stack:
         yield from (TriedMaterial("dielectric", eps) for eps in SOLIDS)
     if closed:
         yield TriedMaterial("open")
@@ -169,7 +169,7 @@ def _changed(scene: Scene, name: str, tried: TriedMaterial) -> Scene:
 
 def _whole(scene: Scene) -> Scene:
     """The scene with all terms; `transmission` where there is a solid that is more than an absorber."""
-    solid = any(not m.conductor and m.thickness_m is None and m.eps_r != _ABSORBER for m in scene.materials.values())
+    solid = any(m.solid and m.eps_r != _ABSORBER for m in scene.materials.values())
     terms = (*TERMS, "transmission") if solid else TERMS
     return replace(scene, radar=scene.radar.model_copy(update={"terms": terms}))
 

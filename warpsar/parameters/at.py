@@ -91,9 +91,23 @@ def _seen(view: Any, key: str, new: float) -> Any:
 def _covered(material: Any, parameter: Parameter, new: Any) -> Any:
     if parameter.layout == "table":
         raise InputError(f"{parameter.name}: stands in the file {material.sigma0}; only a fit changes it")
+    if parameter.key.startswith("layers."):
+        return _layered(material, parameter.key, new)
     stated = getattr(material, parameter.key)
     if parameter.layout == "texture":
         new = Pixels(np.asarray(new, np.float32))
     elif isinstance(stated, tuple):  # eps' - j eps'' keeps its loss, and (lx, ly) its ratio
         new = (new, stated[1] if parameter.key == "eps_r" else new * stated[1] / stated[0])
     return material.model_copy(update={parameter.key: new})
+
+
+def _layered(material: Any, key: str, new: float) -> Any:
+    """With another value of one of `layers`; in air its mirror image gets it, too."""
+    number, of = int(key.split(".")[1]), key.split(".")[2]
+    layers = list(material.layers)
+    stated = getattr(layers[number], of)
+    changed = layers[number].model_copy(update={of: (new, stated[1]) if isinstance(stated, tuple) else new})
+    layers[number] = changed
+    if not material.conductor:
+        layers[len(layers) - 1 - number] = changed
+    return material.model_copy(update={"layers": tuple(layers)})

@@ -20,7 +20,7 @@ from warpsar.world.objects.table import CABIN, KEYS, VEHICLES, Object
 from warpsar.world.objects.table import LIMITS as OBJECT_LIMITS
 from warpsar.world.pixels import Pixels
 from warpsar.world.sigma0_table import LARGEST_DB
-from warpsar.world.tables import Grid, Material, Radar, View
+from warpsar.world.tables import LARGEST_OF_LAYER, Grid, Material, Radar, View
 from warpsar.world.tolerance import known_sd, known_value
 from warpsar.world.transform import Transform
 from warpsar.world.world import World
@@ -112,6 +112,14 @@ def _of_materials(world: World) -> Iterator[Parameter]:
         if material.thickness_m is not None:
             read = partial(getattr, material, "thickness_m")
             yield Parameter("materials", name, "thickness_m", "m", 0.0, 100.0, read, derivatives=AMPLITUDE)
+        for number, layer in enumerate(material.layers):
+            for key in ("eps_r", "mu_r", "thickness_m"):
+                stated = getattr(layer, key)
+                read = partial(float, stated[0] if isinstance(stated, tuple) else stated)
+                unit, high = ("m", 100.0) if key == "thickness_m" else ("1", LARGEST_OF_LAYER)
+                yield Parameter(
+                    *("materials", name, f"layers.{number}.{key}", unit, 0.0, high, read), derivatives=AMPLITUDE
+                )
         if material.sigma0 is not None:
             for polarization, column in sigma0_table.read(material.sigma0).sigma0_db.items():
                 yield Parameter(

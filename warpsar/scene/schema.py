@@ -21,7 +21,7 @@ from warpsar.scene.file import SceneFile
 from warpsar.world import tolerance
 from warpsar.world.library.surfaces import SURFACES
 from warpsar.world.objects.table import KEYS
-from warpsar.world.tables import SURFACE_KEYS, Polarization, SpacingKey, ViewKey
+from warpsar.world.tables import LARGEST_OF_LAYER, SURFACE_KEYS, Polarization, SpacingKey, ViewKey
 
 DRAFT = "http://json-schema.org/draft-07/schema#"  # what editors' TOML plug-ins know
 _NAME = {"type": "string", "minLength": 1}
@@ -34,6 +34,7 @@ _SURFACES: list[_Json] = [  # of the library, rough, smooth, or a conductor
     {"required": ["library"]},
     {"required": list(_ROUGH)},
     {"required": ["eps_r", "rms_height_m"], "properties": {"rms_height_m": {"const": 0}}},
+    {"required": ["layers"]},
     {"required": ["conductor"], "properties": {"conductor": {"const": True}}},
 ]
 
@@ -81,6 +82,12 @@ def scene_schema() -> _Json:
     tables = scene["properties"]
     for one in (*OF_SURFACES, *own_parameters().values()):
         tables["materials"]["additionalProperties"]["properties"][one.key].update(_surface(one))
+    layer = tables["materials"]["additionalProperties"]["properties"]["layers"]["items"]["properties"]
+    first: _Json = {"type": "number", "exclusiveMinimum": 0.0, "maximum": LARGEST_OF_LAYER}
+    second: _Json = {"type": "number", "minimum": -LARGEST_OF_LAYER, "maximum": 0.0}
+    pair: _Json = {"type": "array", "items": [first, second], "minItems": 2, "maxItems": 2}
+    for key in ("eps_r", "mu_r"):
+        layer[key].update(anyOf=[first, pair])
     known = tables["materials"]["additionalProperties"]["properties"]["tolerance"]
     known.update(additionalProperties=_tolerance({"type": "number"}), propertyNames={"enum": list(SURFACE_KEYS)})
     for table, keys in ((tables["image"], SpacingKey), (tables["views"]["items"], ViewKey), (tables["radar"], ViewKey)):

@@ -111,6 +111,7 @@ def _refuse_smooth(scene: World, name: str, material: Material) -> None:
     """Refuse what sends no power back in the mean: it has a phase, and belongs into a coherent product."""
     stated = {"conductor = true": material.conductor, "rms_height_m = 0": material.rms_height_m == 0.0}
     stated[f"thickness_m = {material.thickness_m}"] = material.thickness_m is not None
+    stated["layers"] = bool(material.layers)
     if found := [key for key, there in stated.items() if there]:
         raise InputError(
             f"{scene.name}: materials.{name}: found {', '.join(found)}; an image of power must have rough half-spaces "

@@ -50,8 +50,8 @@ def refusals(material: Any, stated: set[str]) -> list[str]:
         found.append(f"found specular_fraction and {named}; {default}")
     if material.spectrum not in model.spectra and not model.from_table:
         found.append(f'found spectrum = "{material.spectrum}" and {named}; allowed are {_quoted("", model.spectra)}')
-    if (material.conductor or material.thickness_m is not None) and not model.coherent_only:
-        found.append(f"found conductor or thickness_m and {named}; {default}")
+    if (material.conductor or material.layers or material.thickness_m is not None) and not model.coherent_only:
+        found.append(f"found conductor, thickness_m or layers and {named}; {default}")
     return found
 
 

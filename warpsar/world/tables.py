@@ -30,6 +30,9 @@ from warpsar.world.tolerance import refusal
 
 DEFAULT_RAYS_PER_PIXEL = 64.0
 """Where neither density is stated."""
+LARGEST_OF_LAYER = 1e6
+"""Of a layer's permittivity or permeability: a film of carbon has some thousands."""
+MOST_LAYERS = 8
 
 Polarization = Literal["HH", "HV", "VH", "VV"]
 Term = Literal["single", "edges", "multibounce", "rough", "transmission", "edge_waves"]
@@ -336,6 +339,36 @@ else:
     )
 
 
+class Layer(Table):
+    """One of `layers` of a material: relative permittivity and permeability, and thickness."""
+
+    eps_r: float | tuple[float, float] = Field(
+        default=1.0,
+        validate_default=True,
+        description="Relative permittivity; [eps', -eps''] of a lossy layer.",
+        examples=[3.2, [12.0, -1.5]],
+    )
+    mu_r: float | tuple[float, float] = Field(
+        default=1.0,
+        validate_default=True,
+        description="Relative permeability; [mu', -mu''] of a lossy magnetic layer.",
+        examples=[1.0, [1.6, -0.9]],
+    )
+    thickness_m: Annotated[_Positive, Field(le=100.0)] = Field(
+        description="Thickness of the layer [m].", examples=[0.002]
+    )
+
+    @field_validator("eps_r", "mu_r", mode="plain")
+    @classmethod
+    def _value(cls, value: Any) -> float | tuple[float, float]:
+        parts = tuple(value) if isinstance(value, list | tuple) and len(value) == 2 else (value, 0.0)
+        if all(map(_is_number, parts)) and 0.0 < parts[0] <= LARGEST_OF_LAYER >= -parts[1] >= 0.0:
+            return float(value) if _is_number(value) else (float(parts[0]), float(parts[1]))
+        raise ValueError(
+            f"must be a number above 0 to {LARGEST_OF_LAYER:g}, or that and one from -{LARGEST_OF_LAYER:g} to 0"
+        )
+
+
 class Material(_WithOwn):
     """`[materials.NAME]`: relative permittivity, roughness and specular fraction of a surface.
 
@@ -358,6 +391,12 @@ class Material(_WithOwn):
         default=None,
         description="Thickness of a slab of eps_r [m]: in air, or on a conductor (coherent products alone).",
         examples=[0.0015],
+    )
+    layers: Annotated[tuple[Layer, ...], Field(max_length=MOST_LAYERS)] = Field(
+        default=(),
+        description="Layers from the outermost one inward, in air or on a conductor, in place of eps_r and thickness_m "
+        "(coherent products alone). In air they must read the same from both ends.",
+        examples=[[{"eps_r": [3.0, -0.1], "mu_r": [1.6, -0.9], "thickness_m": 0.002}]],
     )
     eps_r: float | tuple[float, float] | str | Texture | None = Field(
         default=None,
@@ -435,6 +474,36 @@ class Material(_WithOwn):
             self.__dict__["learn"] = models.keys_of(self.model, self.learn)  # the default, as far as the model has it
         return self
 
+    @model_validator(mode="after")
+    def _stacked(self) -> Material:
+        if not self.layers:
+            return self
+        if self.eps_r is not None or self.thickness_m is not None:
+            raise ValueError("layers: found eps_r or thickness_m beside them; must be in the layers")
+        if self.rms_height_m != 0.0:
+            raise ValueError("layers: found rms_height_m; must be 0 or left out")
+        if not self.conductor and self.layers != self.layers[::-1]:
+            raise ValueError("layers: found other ones from behind; in air they must read the same from both ends")
+        return self
+
+    @property
+    def stack(self) -> tuple[Layer, ...]:
+        """The layers from the outermost one inward; of a half-space and of a bare conductor none."""
+        if self.thickness_m is None:
+            return self.layers
+        eps: Any = self.eps_r
+        return (Layer(eps_r=eps, thickness_m=self.thickness_m),)
+
+    @property
+    def solid(self) -> bool:
+        """Whether its faces bound a half-space, as of a solid dielectric."""
+        return not self.conductor and not self.layers and self.thickness_m is None
+
+    @property
+    def bare(self) -> bool:
+        """Whether it is a conductor without a layer."""
+        return self.conductor and not self.layers and self.thickness_m is None
+
     @property
     def fields(self) -> list[str]:
         """The keys whose values are maps, or scalars of the mesh's vertices."""
@@ -476,8 +545,10 @@ def _left_out(key: str, others: dict[str, Any]) -> float | None:
     """The value that stands for one which may be left out: of a conductor, of a smooth surface."""
     if models.needless(others.get("model", DEFAULT), key):
         return None
-    if key == "rms_height_m" and others.get("conductor"):
+    if key == "rms_height_m" and (others.get("conductor") or others.get("layers")):
         return 0.0
+    if key == "eps_r" and others.get("layers"):
+        return None
     if key == "eps_r" and others.get("conductor") and others.get("thickness_m") is None:
         return None
     if key == "correlation_length_m" and others.get("rms_height_m") == 0.0:

@@ -11,7 +11,7 @@ from warpsar.errors import InputError, did_you_mean, shown
 from warpsar.world.library.surfaces import DEFAULT, SURFACES
 from warpsar.world.tables import Material
 
-_OF_DEFAULT = {"conductor", "thickness_m", "specular_fraction"}
+_OF_DEFAULT = {"conductor", "thickness_m", "layers", "specular_fraction"}
 """Keys that the default model alone has: a table that states one gets that model."""
 
 
