@@ -172,7 +172,8 @@ def run(
     for one in dict.fromkeys(formats):
         layers |= files.writers(found, out, one)
     # the largest part of the time is packing of tiles, which holds no lock
-    *_, drawn = in_threads([*layers.values(), partial(_drawn, found, against, differs, out)])
+    tasks: list[Callable[[], list[str] | None]] = [*layers.values(), partial(_drawn, found, against, differs, out)]
+    drawn = list(in_threads(tasks))[-1]
     assert drawn is not None
     written = [*layers, *drawn]
     source = Path(found.product.source)
