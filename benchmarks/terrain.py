@@ -1,17 +1,21 @@
 """How long `warpsar twin` takes, and how much memory: 2,500 x 2,500 pixels of Sentinel-1 over hills of 30 m posts.
 
-    python benchmarks/terrain.py $DATA/sentinel1_rome
+    python benchmarks/terrain.py $DATA/sentinel1_rome [--device cuda] [--size 2500] [--only layers command]
 
 The annotation is real. The hills are made: slopes of 20 degrees on average, so some lie over others and some are in
-shadow. Timed are the layers alone (`warpsar.twin`), once more after the kernels are compiled.
+shadow. Timed are the layers alone (`warpsar.twin`), once more after the kernels are compiled, and the whole command
+with its GeoTIFFs, pictures and report, twice, too. `--size` takes more lines and pixels, with more hills: the scene has
+16,705 lines of 26,102 pixels. Memory at most is that of the process up to then.
 """
 
 from __future__ import annotations
 
+import argparse
 import resource
-import sys
 import tempfile
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -19,18 +23,19 @@ import numpy as np
 import warpsar
 from warpsar.formats import registry
 from warpsar.runtime.threads import thread_count
+from warpsar.terrain import command
 
 SIZE = 2500
 POST_DEG = 1.0 / 3600.0
 
 
-def hills(path: Path, longitude: float, latitude: float) -> None:
-    """30 km by 30 km of posts of 1 arc second: smoothed noise, the same for ever."""
+def hills(path: Path, longitude: float, latitude: float, size: int = SIZE) -> None:
+    """30 km by 30 km of posts of 1 arc second for 2,500 lines: smoothed noise, the same for ever."""
     import rasterio
     from rasterio.transform import from_origin
     from scipy.ndimage import gaussian_filter
 
-    rows, columns = 1150, 1500
+    rows, columns = 1150 * size // SIZE, 1500 * size // SIZE
     rough = np.random.default_rng(7).standard_normal((rows, columns))
     heights = np.full((rows, columns), 900.0)
     for posts, spread_m in ((6.0, 60.0), (20.0, 120.0)):
@@ -44,28 +49,48 @@ def hills(path: Path, longitude: float, latitude: float) -> None:
         file.write(heights.astype(np.float32), 1)
 
 
-def main(folder: Path, device: str | None) -> None:
-    (product,) = registry.products(next(folder.glob("S1B*.SAFE")))
-    line, pixel = 8000.0, 20000.0
-    corners = product.to_ground([line, line + SIZE], [pixel, pixel + SIZE], 700.0)
+@contextmanager
+def timed(what: str) -> Iterator[None]:
+    wall, cpu = time.perf_counter(), time.process_time()
+    yield
+    wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    print(f"{what}: {wall:.1f} s, {cpu:.1f} s of CPU with {thread_count()} threads; {peak:.2f} GiB at most", flush=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--device")
+    parser.add_argument("--size", type=int, default=SIZE)
+    parser.add_argument("--only", nargs="+", choices=("layers", "command"), default=("layers", "command"))
+    options = parser.parse_args()
+    size, safe = options.size, next(options.folder.glob("S1B*.SAFE"))
+    (product,) = registry.products(safe)
+    line, pixel = (min(begin, whole - size) for begin, whole in ((8000.0, 16705.0), (20000.0, 26102.0)))
+    corners = product.to_ground([line, line + size], [pixel, pixel + size], 700.0)
     middle = corners.mean(axis=0)
     half_lat, half_lon = (share * abs(np.diff(corners[:, i])[0]) for i, share in ((0, 0.47), (1, 0.38)))
     crop = (middle[1] - half_lon, middle[0] - half_lat, middle[1] + half_lon, middle[0] + half_lat)
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "hills.tif"
-        hills(path, float(middle[1]), float(middle[0]))
-        for name in ("first", "again"):
-            wall, cpu = time.perf_counter(), time.process_time()
-            found = warpsar.twin(product, path, geoid_offset_m=0.0, crop=crop, device=device)
-            wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
-            lines, pixels = found.window.shape
-            peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
-            print(f"{name}: {lines} x {pixels} pixels, {found.blocks} blocks: {wall:.1f} s, {cpu:.1f} s of CPU", end="")
-            print(f" with {thread_count()} threads; {peak:.2f} GiB at most")
-    ground = np.isfinite(found.image["surfaces"])
-    for name in ("layover", "shadow"):
-        print(f"{name}: {np.mean(found.image[name][ground] >= 0.5):.1%} of pixels")
+        hills(path, float(middle[1]), float(middle[0]), size)
+        if "layers" in options.only:
+            for name in ("first", "again"):
+                with timed(f"layers, {name}"):
+                    found = warpsar.twin(product, path, geoid_offset_m=0.0, crop=crop, device=options.device)
+            print(f"{found.window.shape[0]} x {found.window.shape[1]} pixels, {found.blocks} blocks")
+            ground = np.isfinite(found.image["surfaces"])
+            for name in ("layover", "shadow"):
+                print(f"{name}: {np.mean(found.image[name][ground] >= 0.5):.1%} of pixels")
+            del found, ground
+        if "command" in options.only:
+            for name in ("first", "again"):
+                with timed(f"command, {name}"):
+                    command.run(
+                        safe, path, Path(scratch) / "twin", crop=crop, geoid_offset_m=0.0, device=options.device
+                    )
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), sys.argv[2] if len(sys.argv) > 2 else None)
+    main()

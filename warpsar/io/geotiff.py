@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from threading import Lock
 from typing import TYPE_CHECKING, Any, Literal
 from uuid import uuid4
 
@@ -123,13 +124,12 @@ def write_cog(
     if place is not None:
         profile |= {"crs": place.crs, "transform": place.affine}
     large = len(bands) * first.size * np.dtype(kind).itemsize > IN_MEMORY
-    with replacing(path) as temporary, _scratch(path) as scratch, warnings.catch_warnings():
+    with replacing(path) as temporary, _scratch(path) as scratch:
         import rasterio
         import rasterio.shutil
         from rasterio.enums import Resampling
-        from rasterio.errors import NotGeoreferencedWarning, RasterioError
+        from rasterio.errors import RasterioError
 
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
         if large:
             room = {"driver": "GTiff", "tiled": True, "interleave": "band", "bigtiff": "YES", **profile}
         else:
@@ -138,7 +138,7 @@ def write_cog(
         try:
             with (
                 rasterio.Env(GDAL_NUM_THREADS=threads),  # of overviews
-                rasterio.open(scratch if large else "", "w+", **room) as source,
+                _created(scratch if large else "", room) as source,
             ):
                 source.update_tags(**{k: json.dumps(v) if isinstance(v, list) else str(v) for k, v in tags.items()})
                 source.descriptions = tuple(bands)
@@ -148,6 +148,20 @@ def write_cog(
                 rasterio.shutil.copy(source, temporary, driver="COG", **COG, NUM_THREADS=threads)
         except RasterioError as error:
             raise OSError(f"{path}: cannot be written ({error})") from error
+
+
+_creating = Lock()
+"""Filters of warnings belong to the process, and files are written side by side."""
+
+
+def _created(path: Path | str, profile: dict[str, Any]) -> Any:
+    """A rasterio data set to write. That it lies nowhere is no reason to warn."""
+    import rasterio
+    from rasterio.errors import NotGeoreferencedWarning
+
+    with _creating, warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        return rasterio.open(path, "w+", **profile)
 
 
 @contextmanager

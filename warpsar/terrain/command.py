@@ -5,8 +5,9 @@ from __future__ import annotations
 import hashlib
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from warpsar.io import figures
 from warpsar.io import html as report
 from warpsar.products.product import RADIOMETRIES, Product, Radiometry
 from warpsar.runtime import console, devices
+from warpsar.runtime.threads import in_threads
 from warpsar.simulation.outputs import make_folder, refuse_unwritable, write_json
 from warpsar.terrain import files
 from warpsar.terrain.blocks import Box, places_in, places_on
@@ -165,18 +167,15 @@ def run(
         device=device,
     )
     make_folder(out)  # nothing is written for what is refused
-    said = summary(found)
-    written = [name for one in dict.fromkeys(formats) for name in files.write(found, out, one)]
-    against = compared(found)
-    drawn = {"image.png": image_figure(found), "map.png": map_figure(found)}
-    if isinstance(against, TerrainComparison):
-        drawn["comparison.png"] = comparison_figure(found, against)
-    differs = differences(found)
-    if isinstance(differs, TerrainDifferences):
-        drawn["differences.png"] = differences_figure(found, differs)
-    for name, figure in drawn.items():
-        figures.save(figure, out / name)
-    written += list(drawn)
+    said, against, differs = summary(found), compared(found), differences(found)
+    layers: dict[str, Callable[[], None]] = {}
+    for one in dict.fromkeys(formats):
+        layers |= files.writers(found, out, one)
+    # the largest part of the time is packing of tiles, which holds no lock
+    tasks: list[Callable[[], list[str] | None]] = [*layers.values(), partial(_drawn, found, against, differs, out)]
+    drawn = list(in_threads(tasks))[-1]
+    assert drawn is not None
+    written = [*layers, *drawn]
     source = Path(found.product.source)
     content = {
         "input": {"scene": source.name, "sha256": _digest(source, dem, *filter(None, (landcover, buildings)))},
@@ -201,6 +200,23 @@ def run(
     console.say_written(out, "report.html", "twin.json", *written)
     print("\n".join([*said.words, *words_of(against), *words_of(differs)]))
     return content
+
+
+def _drawn(
+    found: SimulatedProduct,
+    against: TerrainComparison | str | None,
+    differs: TerrainDifferences | str | None,
+    out: Path,
+) -> list[str]:
+    """The pictures in `out`, one after the other: Matplotlib works in one thread. Returns their names."""
+    drawn = {"image.png": image_figure(found), "map.png": map_figure(found)}
+    if isinstance(against, TerrainComparison):
+        drawn["comparison.png"] = comparison_figure(found, against)
+    if isinstance(differs, TerrainDifferences):
+        drawn["differences.png"] = differences_figure(found, differs)
+    for name, figure in drawn.items():
+        figures.save(figure, out / name)
+    return list(drawn)
 
 
 def _digest(*paths: Path) -> str:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import shutil
+from collections.abc import Callable
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from uuid import uuid4
@@ -52,29 +54,30 @@ def facts(found: SimulatedProduct) -> dict[str, Any]:
     }
 
 
-def write(found: SimulatedProduct, out: Path, file_format: str) -> list[str]:
-    """The layers in one format. Returns the names of the files in `out`."""
+def writers(found: SimulatedProduct, out: Path, file_format: str) -> dict[str, Callable[[], None]]:
+    """What writes the layers in one format, by the names of the files in `out`; they may run side by side."""
     if file_format == "geotiff":
         image = {name: values for name, values in found.image.items() if name not in PLACE}
         place = {name: found.image[name] for name in PLACE}
         axes = "rows: lines of the product from first_line on; columns: its pixels from first_pixel on"
-        write_cog(out / "image.tif", image, {**facts(found), "axes": axes, **_units(image, False)})
-        write_cog(
-            out / "image_place.tif", place, {**facts(found), "axes": axes, **_units(place, False)}, kind="float64"
-        )
-        write_cog(out / "map.tif", found.map, {**facts(found), **_units(found.map, True)}, found.map_place)
-        return ["image.tif", "image_place.tif", "map.tif"]
-    names = []
-    for name, data in (("image", image_dataset(found)), ("map", map_dataset(found))):
-        if file_format == "netcdf":
-            names.append(f"{name}.nc")
-            packed = {each: {"zlib": True, "complevel": 4} for each in data.data_vars if data[each].ndim}
-            with replacing(out / names[-1]) as temporary:
-                data.to_netcdf(temporary, engine="h5netcdf", encoding=packed)
-        else:
-            names.append(f"{name}.zarr")
-            _write_zarr(out / names[-1], data)
-    return names
+        said = {**facts(found), "axes": axes}
+        tags = {**said, **_units(image, False)}, {**said, **_units(place, False)}
+        on_map = {**facts(found), **_units(found.map, True)}
+        return {
+            "image.tif": partial(write_cog, out / "image.tif", image, tags[0]),
+            "image_place.tif": partial(write_cog, out / "image_place.tif", place, tags[1], kind="float64"),
+            "map.tif": partial(write_cog, out / "map.tif", found.map, on_map, found.map_place),
+        }
+    sets = {"image": image_dataset(found), "map": map_dataset(found)}
+    if file_format == "netcdf":
+        return {f"{name}.nc": partial(_write_netcdf, out / f"{name}.nc", data) for name, data in sets.items()}
+    return {f"{name}.zarr": partial(_write_zarr, out / f"{name}.zarr", data) for name, data in sets.items()}
+
+
+def _write_netcdf(path: Path, data: xarray.Dataset) -> None:
+    packed = {each: {"zlib": True, "complevel": 4} for each in data.data_vars if data[each].ndim}
+    with replacing(path) as temporary:
+        data.to_netcdf(temporary, engine="h5netcdf", encoding=packed)
 
 
 def _units(bands: dict[str, np.ndarray], on_map: bool) -> dict[str, str]:
