@@ -339,7 +339,7 @@ else:
     )
 
 
-class Layer(Table):
+class MaterialLayer(Table):
     """One of `layers` of a material: relative permittivity and permeability, and thickness."""
 
     eps_r: float | tuple[float, float] = Field(
@@ -392,7 +392,7 @@ class Material(_WithOwn):
         description="Thickness of a slab of eps_r [m]: in air, or on a conductor (coherent products alone).",
         examples=[0.0015],
     )
-    layers: Annotated[tuple[Layer, ...], Field(max_length=MOST_LAYERS)] = Field(
+    layers: Annotated[tuple[MaterialLayer, ...], Field(max_length=MOST_LAYERS)] = Field(
         default=(),
         description="Layers from the outermost one inward, in air or on a conductor, in place of eps_r and thickness_m "
         "(coherent products alone). In air they must read the same from both ends.",
@@ -487,12 +487,12 @@ class Material(_WithOwn):
         return self
 
     @property
-    def stack(self) -> tuple[Layer, ...]:
+    def stack(self) -> tuple[MaterialLayer, ...]:
         """The layers from the outermost one inward; of a half-space and of a bare conductor none."""
         if self.thickness_m is None:
             return self.layers
         eps: Any = self.eps_r
-        return (Layer(eps_r=eps, thickness_m=self.thickness_m),)
+        return (MaterialLayer(eps_r=eps, thickness_m=self.thickness_m),)
 
     @property
     def solid(self) -> bool:
