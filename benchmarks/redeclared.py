@@ -29,7 +29,7 @@ import tables
 
 from warpsar.diagnosis import command
 from warpsar.diagnosis.found import DiagnoseOptions
-from warpsar.io.images import read_image, write_tiff
+from warpsar.io.images import read_channel, write_tiff
 
 Group = tuple[np.ndarray, list[list[int]], str]
 """Vertices, faces and material of a part of the mesh."""
@@ -288,7 +288,7 @@ def make(trial: Trial, cases: Path, folder: Path) -> Path:
     tables_of = r"\[materials\.(\w+)\]\n(?:.+\n)+\n"
     path.write_text(re.sub(tables_of, lambda found: found[0] if found[1] in present else "", text))
     for image in sorted(folder.glob("*.tif")) if trial.image else ():
-        write_tiff(image, np.ascontiguousarray(trial.image(image.stem, read_image(image)), np.float32))
+        write_tiff(image, np.ascontiguousarray(trial.image(image.stem, read_channel(image)), np.float32))
     return path
 
 

@@ -9,6 +9,9 @@ import pytest
 import trimesh
 from conftest import benchmark
 
+from warpsar.io.images import read_channel
+from warpsar.scene.scene import Scene
+
 SCENE = """
 [image]
 spacing_m = [0.5, 0.5]
@@ -115,3 +118,14 @@ def test_images_get_a_gain_or_a_shift(made: Any) -> None:
 )
 def test_the_outcome_of_a_verdict(made: Any, trial: str, said: list[str], unexplained: bool, words: str) -> None:
     assert made.outcome({"name": trial, "verdict": said, "unexplained": unexplained}) == words
+
+
+@pytest.mark.parametrize("trial", benchmark("redeclared").TRIALS)
+def test_a_trial_is_a_scene_with_images_of_its_views(
+    made: Any, trial: str, independent_cases: Path, tmp_path: Path
+) -> None:
+    path = made.make(made.TRIALS[trial], independent_cases, tmp_path)
+    scene = Scene.load(path)
+    for view in scene.views:
+        (image,) = view.images.values()
+        assert read_channel(tmp_path / image).shape == tuple(scene.grid.shape)
