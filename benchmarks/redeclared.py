@@ -21,6 +21,7 @@ from pathlib import Path
 
 import click
 import numpy as np
+import trimesh
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
@@ -38,20 +39,6 @@ ChangesMesh = Callable[[Mesh], None]
 ChangesText = Callable[[str], str]
 ChangesImage = Callable[[str, np.ndarray], np.ndarray]
 UNNAMED = "something without a name here"
-BOX_FACES = (
-    (0, 1, 3),
-    (0, 3, 2),
-    (4, 6, 7),
-    (4, 7, 5),
-    (0, 4, 5),
-    (0, 5, 1),
-    (2, 3, 7),
-    (2, 7, 6),
-    (1, 5, 7),
-    (1, 7, 3),
-    (0, 2, 6),
-    (0, 6, 4),
-)
 
 
 @dataclass(frozen=True)
@@ -134,9 +121,8 @@ def removed(body: str) -> ChangesMesh:
 
 def added(low: tuple[float, float, float], high: tuple[float, float, float], material: str) -> ChangesMesh:
     def change(mesh: Mesh) -> None:
-        sides = np.array([low, high]).T
-        vertices = np.array([[x, y, z] for x in sides[0] for y in sides[1] for z in sides[2]])
-        mesh["more"] = vertices, [list(face) for face in BOX_FACES], material
+        box = trimesh.creation.box(bounds=[low, high])
+        mesh["more"] = np.array(box.vertices), box.faces.tolist(), material
 
     return change
 

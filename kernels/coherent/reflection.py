@@ -90,7 +90,7 @@ def of_layers(face: Face, k: wp.float64, cosine: wp.float64) -> Coefficients:
         load.te_h = cosine * one
         load.tm_e = cosine * one
     for i in range(UNDER):
-        row = 6 - i
+        row = UNDER - 1 - i
         if row + 1 < face.layer:
             eps = wp.vec2d(face.under[row, 0], face.under[row, 1])
             mu = wp.vec2d(face.under[row, 2], face.under[row, 3])

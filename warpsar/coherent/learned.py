@@ -19,7 +19,7 @@ from warpsar.parameters.tree import POSE as POSE_WORDS
 from warpsar.parameters.tree import Parameters
 from warpsar.world.objects.pose import rotation
 from warpsar.world.objects.table import KEYS
-from warpsar.world.tables import Material
+from warpsar.world.tables import Material, layer_of
 from warpsar.world.world import World
 
 WHOLE = "pose"
@@ -139,16 +139,15 @@ def _material(scene: World, name: str, key: str) -> RcsParameter:
 
 
 def _layer(scene: World, name: str, material: Material, key: str) -> RcsParameter:
-    """A value of one of `layers`, `layers.0.mu_r`. In air its mirror image moves with it, as in `parameters.at`."""
-    number, of = int(key.split(".")[1]), key.split(".")[2]
+    """A value of one of `layers`, `layers.0.mu_r`. In air its mirror image moves with it."""
+    number, of = layer_of(key)
     index = scene.mesh.materials.index(name)
     pair = isinstance(getattr(material.layers[number], of), tuple)
-    moved = {number} if material.conductor else {number, len(material.layers) - 1 - number}
 
     def gradient(slopes: TubeSlopes) -> NDArray[np.float64]:
         stuff = slopes.stuff[index]
         outer = np.concatenate([stuff["permittivity"], stuff["permeability"], [stuff["thickness"]]])
-        whole = np.sum([outer if each == 0 else stuff["under"][each - 1] for each in moved], axis=0)
+        whole = np.sum([outer if each == 0 else stuff["under"][each - 1] for each in material.alike(number)], axis=0)
         both = whole[{"eps_r": slice(0, 2), "mu_r": slice(2, 4), "thickness_m": slice(4, 5)}[of]]
         return np.array(both if pair else both[0])
 

@@ -11,6 +11,7 @@ import numpy as np
 from warpsar.errors import InputError
 from warpsar.parameters.parameter import Parameter
 from warpsar.world.pixels import Pixels
+from warpsar.world.tables import layer_of
 from warpsar.world.world import World, posed
 
 W = TypeVar("W", bound=World)
@@ -103,11 +104,10 @@ def _covered(material: Any, parameter: Parameter, new: Any) -> Any:
 
 def _layered(material: Any, key: str, new: float) -> Any:
     """With another value of one of `layers`; in air its mirror image gets it, too."""
-    number, of = int(key.split(".")[1]), key.split(".")[2]
+    number, of = layer_of(key)
     layers = list(material.layers)
     stated = getattr(layers[number], of)
     changed = layers[number].model_copy(update={of: (new, stated[1]) if isinstance(stated, tuple) else new})
-    layers[number] = changed
-    if not material.conductor:
-        layers[len(layers) - 1 - number] = changed
+    for each in material.alike(number):
+        layers[each] = changed
     return material.model_copy(update={"layers": tuple(layers)})

@@ -369,6 +369,12 @@ class MaterialLayer(Table):
         )
 
 
+def layer_of(key: str) -> tuple[int, str]:
+    """The number of the layer and its key, of a parameter's key `layers.NUMBER.KEY`."""
+    _, number, name = key.split(".")
+    return int(number), name
+
+
 class Material(_WithOwn):
     """`[materials.NAME]`: relative permittivity, roughness and specular fraction of a surface.
 
@@ -493,6 +499,10 @@ class Material(_WithOwn):
             return self.layers
         eps: Any = self.eps_r
         return (MaterialLayer(eps_r=eps, thickness_m=self.thickness_m),)
+
+    def alike(self, number: int) -> set[int]:
+        """The numbers in `layers` of those that are one layer with this one: in air its mirror image, too."""
+        return {number} if self.conductor else {number, len(self.layers) - 1 - number}
 
     @property
     def solid(self) -> bool:
