@@ -1,11 +1,12 @@
 """How long `warpsar twin` takes, and how much memory: 2,500 x 2,500 pixels of Sentinel-1 over hills of 30 m posts.
 
-    python benchmarks/terrain.py $DATA/sentinel1_rome [--device cuda] [--size 2500] [--only layers command]
+    python benchmarks/terrain.py $DATA/sentinel1_rome [--device cuda] [--size 2500] [--once]
 
 The annotation is real. The hills are made: slopes of 20 degrees on average, so some lie over others and some are in
 shadow. Timed are the layers alone (`warpsar.twin`), once more after the kernels are compiled, and the whole command
-with its GeoTIFFs, pictures and report, twice, too. `--size` takes more lines and pixels, with more hills: the scene has
-16,705 lines of 26,102 pixels. Memory at most is that of the process up to then.
+with its GeoTIFFs, pictures and report, twice, too; `--once` leaves out the second time. `--size` takes more lines and
+pixels, with more hills: the scene has 16,705 lines of 26,102 pixels. With `pixels` the product has pixels of speckle,
+and what is timed is layers, comparison and what differs. Memory at most is that of the process up to then.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +26,8 @@ import warpsar
 from warpsar.formats import registry
 from warpsar.runtime.threads import thread_count
 from warpsar.terrain import command
+from warpsar.terrain.comparison import compared
+from warpsar.terrain.differences import differences
 
 SIZE = 2500
 POST_DEG = 1.0 / 3600.0
@@ -49,6 +53,20 @@ def hills(path: Path, longitude: float, latitude: float, size: int = SIZE) -> No
         file.write(heights.astype(np.float32), 1)
 
 
+class Speckle:
+    """Amplitudes of a single look, made where they are read."""
+
+    dtype = np.dtype(np.uint16)
+
+    def __init__(self, lines: int, pixels: int) -> None:
+        self.shape = lines, pixels
+
+    def __getitem__(self, window: tuple[slice, slice], /) -> np.ndarray:
+        shape = [part.stop - part.start for part in window]
+        power = np.random.default_rng([part.start for part in window]).exponential(1.0, shape)
+        return (100.0 * np.sqrt(power)).astype(np.uint16)
+
+
 @contextmanager
 def timed(what: str) -> Iterator[None]:
     wall, cpu = time.perf_counter(), time.process_time()
@@ -63,8 +81,10 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--device")
     parser.add_argument("--size", type=int, default=SIZE)
-    parser.add_argument("--only", nargs="+", choices=("layers", "command"), default=("layers", "command"))
+    parser.add_argument("--once", action="store_true")
+    parser.add_argument("--only", nargs="+", choices=("layers", "command", "pixels"), default=("layers", "command"))
     options = parser.parse_args()
+    names = ("first",) if options.once else ("first", "again")
     size, safe = options.size, next(options.folder.glob("S1B*.SAFE"))
     (product,) = registry.products(safe)
     line, pixel = (min(begin, whole - size) for begin, whole in ((8000.0, 16705.0), (20000.0, 26102.0)))
@@ -76,20 +96,28 @@ def main() -> None:
         path = Path(scratch) / "hills.tif"
         hills(path, float(middle[1]), float(middle[0]), size)
         if "layers" in options.only:
-            for name in ("first", "again"):
+            for name in names:
                 with timed(f"layers, {name}"):
                     found = warpsar.twin(product, path, geoid_offset_m=0.0, crop=crop, device=options.device)
-            print(f"{found.window.shape[0]} x {found.window.shape[1]} pixels, {found.blocks} blocks")
+            print(f"{found.window.shape[0]} x {found.window.shape[1]} pixels, {found.forecast.blocks} blocks")
             ground = np.isfinite(found.image["surfaces"])
             for name in ("layover", "shadow"):
                 print(f"{name}: {np.mean(found.image[name][ground] >= 0.5):.1%} of pixels")
             del found, ground
         if "command" in options.only:
-            for name in ("first", "again"):
+            for name in names:
                 with timed(f"command, {name}"):
                     command.run(
                         safe, path, Path(scratch) / "twin", crop=crop, geoid_offset_m=0.0, device=options.device
                     )
+        if "pixels" in options.only:
+            speckled = replace(product, samples=Speckle(product.grid.lines, product.grid.pixels))
+            for name in names:
+                with timed(f"with pixels, {name}"):
+                    found = warpsar.twin(speckled, path, geoid_offset_m=0.0, crop=crop, device=options.device)
+                    compared(found)
+                    differences(found)
+                del found
 
 
 if __name__ == "__main__":

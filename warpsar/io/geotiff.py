@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from warpsar.errors import InputError
 from warpsar.io import tiff
+from warpsar.io.bands import release
 from warpsar.io.images import replacing
 from warpsar.runtime.threads import thread_count
 
@@ -30,8 +31,10 @@ COG = {
     "BIGTIFF": "IF_SAFER",
 }
 """Of GDAL's driver."""
-IN_MEMORY = 2**30
+IN_MEMORY = 2**29
 """Bytes of a raster that is put together in memory."""
+CACHE_BYTES = 2**27
+"""Of GDAL for tiles that it reads and writes: by default it takes a twentieth of the machine's memory."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +79,7 @@ def projecting(path: Path) -> Iterator[None]:
         raise InputError(f'{path}: GeoTIFF needs rasterio: pip install "warpsar[geo]"') from error
     try:
         # Env: outside of it PROJ does not find its tables.
-        with rasterio.Env(), warnings.catch_warnings(), np.errstate(all="ignore"):
+        with rasterio.Env(GDAL_CACHEMAX=CACHE_BYTES), warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
             yield
     except (
@@ -111,7 +114,7 @@ def write_cog(
     lists of them, which become JSON. NaN is no data. Without `place` the image lies nowhere.
 
     Overviews are means, made before the copy: the driver itself would pack, unpack and pack again what it makes. Bands
-    of more than `IN_MEMORY` are first written to a file beside `path`.
+    of more than `IN_MEMORY` are first written to a file beside `path`, so memory does not grow with them.
     """
     first = next(iter(bands.values()))
     profile: dict[str, Any] = {
@@ -131,19 +134,31 @@ def write_cog(
         from rasterio.errors import RasterioError
 
         if large:
-            room = {"driver": "GTiff", "tiled": True, "interleave": "band", "bigtiff": "YES", **profile}
+            room = {
+                "driver": "GTiff",
+                "tiled": True,
+                "blockxsize": TILE,
+                "blockysize": TILE,
+                "interleave": "band",
+                "bigtiff": "YES",
+                **profile,
+            }
         else:
             room = {"driver": "MEM", **profile}
         threads = str(thread_count())
         try:
             with (
-                rasterio.Env(GDAL_NUM_THREADS=threads),  # of overviews
+                rasterio.Env(GDAL_NUM_THREADS=threads, GDAL_CACHEMAX=CACHE_BYTES),  # threads: of overviews
                 _created(scratch if large else "", room) as source,
             ):
                 source.update_tags(**{k: json.dumps(v) if isinstance(v, list) else str(v) for k, v in tags.items()})
                 source.descriptions = tuple(bands)
                 for number, band in enumerate(bands.values(), start=1):
-                    source.write(np.asarray(band, kind), number)
+                    for top in range(0, first.shape[0], TILE):
+                        rows = slice(top, min(top + TILE, first.shape[0]))
+                        window = ((rows.start, rows.stop), (0, first.shape[1]))
+                        source.write(np.asarray(band[rows], kind), number, window=window)
+                        release(band)
                 source.build_overviews(_halvings(first.shape), Resampling.average)
                 rasterio.shutil.copy(source, temporary, driver="COG", **COG, NUM_THREADS=threads)
         except RasterioError as error:

@@ -7,6 +7,7 @@ scenery.py       surfaces, land cover and buildings together
 blocks.py        a product's window in blocks of bounded size
 ground.py        the facets of a block, in lines and slant ranges
 projection.py    facets into pixels and cells of the map, on the device
+memory.py        how much memory and disk it takes, before the work
 layers.py        what each layer is: name, unit, words
 result.py        a product's layers together
 summary.py       what they say in a few numbers and words

@@ -53,6 +53,7 @@ def twin(
     radiometry: Radiometry | None = None,
     file_format: str = "auto",
     device: str | None = None,
+    scratch: PathLike[str] | str | None = None,
 ) -> SimulatedProduct:
     """What a radar product should show of the ground: layers on the product's own grid and on the map.
 
@@ -61,7 +62,8 @@ def twin(
     `surface`: one of the library, where `landcover` says nothing. `landcover`: a GeoTIFF of classes, which become
     surfaces by `landcover_table`: "worldcover", "corine", or a TOML file. `buildings`: GeoJSON or CityGML. `crop`:
     west, south, east, north [deg]; without it all that the DEM covers. `polarization` chooses an image where a product
-    has several. `radiometry` says what power is where the product does not: "beta0", "sigma0" or "gamma0".
+    has several. `radiometry` says what power is where the product does not: "beta0", "sigma0" or "gamma0". Layers of
+    more than 1 GiB are arrays in files without a name in `scratch`, by default in the folder for temporary files.
 
     Facets of the ground are brought to zero Doppler by the orbit and cut by the pixels, so their areas are exact. A ray
     from each piece to the radar says whether it is lit. beta0 is the sum of sigma0 times lit area over the pixel's area
@@ -87,7 +89,8 @@ def twin(
         built = placed(Path(buildings), elevation, surfaces)
         elevation = replace(elevation, highest_m=max(elevation.highest_m, built.highest_m))
     sigma0 = np.stack([surface_sigma0(name, opened) for name in surfaces])
-    return simulated(opened, elevation, Scenery(tuple(surfaces), sigma0, cover, built), crop, where)
+    scenery = Scenery(tuple(surfaces), sigma0, cover, built)
+    return simulated(opened, elevation, scenery, crop, where, None if scratch is None else Path(scratch))
 
 
 def _refuse(surface: str, crop: Box | None, radiometry: str | None, polarization: str | None) -> None:
@@ -152,6 +155,7 @@ def run(
     where = devices.resolve_device(device)
     console.say_device(where)
     refuse_unwritable(out)
+    disk = next(each for each in (out, *out.absolute().parents) if each.exists())
     found = twin(
         product,
         dem,
@@ -165,6 +169,7 @@ def run(
         radiometry=radiometry,
         file_format=file_format,
         device=device,
+        scratch=disk,
     )
     make_folder(out)  # nothing is written for what is refused
     said, against, differs = summary(found), compared(found), differences(found)
@@ -173,7 +178,8 @@ def run(
         layers |= files.writers(found, out, one)
     # the largest part of the time is packing of tiles, which holds no lock
     tasks: list[Callable[[], list[str] | None]] = [*layers.values(), partial(_drawn, found, against, differs, out)]
-    drawn = list(in_threads(tasks))[-1]
+    # copies of layers that do not fit into memory take room on the disk, so one follows the other
+    drawn = list((task() for task in tasks) if found.forecast.in_files else in_threads(tasks))[-1]
     assert drawn is not None
     written = [*layers, *drawn]
     source = Path(found.product.source)
@@ -182,7 +188,8 @@ def run(
         **files.facts(found),
         "window": {"lines": list(found.window.lines), "pixels": list(found.window.pixels)},
         "map_shape": list(next(iter(found.map.values())).shape),
-        "blocks": found.blocks,
+        "blocks": found.forecast.blocks,
+        "forecast": found.forecast.content(),
         **said.content(),
         "comparison": against.content() if isinstance(against, TerrainComparison) else against,
         "differences": differs.content() if isinstance(differs, TerrainDifferences) else differs,

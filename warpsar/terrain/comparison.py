@@ -12,17 +12,19 @@ are asked, each beside a rival that knows no terrain:
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from warpsar.io.bands import bands_of, median, release
+from warpsar.terrain.memory import LEAST_PIXELS, MOST_CELLS
 from warpsar.terrain.result import SimulatedProduct
 
 F64 = NDArray[np.float64]
-LEAST_PIXELS = 4
-"""Along a cell's side."""
 LEAST_CELLS = 200
 SHIFTS = 12
 """Along each axis: far shifts that the correlation is set against."""
@@ -74,13 +76,14 @@ def compared(found: SimulatedProduct) -> TerrainComparison | str | None:
     """None for a product without pixels; words where there are too few to say anything."""
     if not found.measured:
         return None
-    image = found.image
-    model = image["beta0"] + image.get("noise", 0.0)
-    known = np.isfinite(model) & np.isfinite(image["measured"])
-    cell = cell_of(found)
-    simulated, measured = (
-        averaged(np.where(known, power, np.nan), cell) for power in (model, np.asarray(image["measured"]))
-    )
+    image, cell = found.image, cell_of(found)
+
+    def powers(rows: slice) -> tuple[F64, F64]:
+        model = image["beta0"][rows] + (image["noise"][rows] if "noise" in image else 0.0)
+        known = np.isfinite(model) & np.isfinite(image["measured"][rows])
+        return np.where(known, model, np.nan), np.where(known, image["measured"][rows], np.nan)
+
+    simulated, measured = averaged_in_bands(found, cell, powers)
     with np.errstate(all="ignore"):
         x, y = (10.0 * np.log10(power) for power in (simulated, measured))
     usable = np.isfinite(x) & np.isfinite(y)
@@ -117,19 +120,37 @@ def compared(found: SimulatedProduct) -> TerrainComparison | str | None:
 
 
 def cell_of(found: SimulatedProduct) -> tuple[int, int]:
-    """Lines and pixels of a cell: as large as a post's, and at least `LEAST_PIXELS` along a side."""
-    image = found.image
-    line_m = float(np.nanmedian(image["area_beta"])) / abs(slant_step_m(found))
-    pixel_m = float(np.nanmedian(image["area_sigma"])) / line_m
+    """Lines and pixels of a cell: as large as a post's, at least `LEAST_PIXELS` along a side, and so large that there
+    are `MOST_CELLS` about."""
+    line_m = line_length_m(found)
+    pixel_m = median(found.image["area_sigma"]) / line_m
     post = float(np.mean(found.elevation.spacing_m))
     lines, pixels = (max(round(post / max(step, 1e-3)), LEAST_PIXELS) for step in (line_m, pixel_m))
-    return lines, pixels
+    grown = math.sqrt(math.prod(found.window.shape) / (lines * pixels * MOST_CELLS))
+    return (lines, pixels) if grown <= 1.0 else (math.ceil(lines * grown), math.ceil(pixels * grown))
+
+
+def line_length_m(found: SimulatedProduct) -> float:
+    """Of a line on the ground, in the middle."""
+    return median(found.image["area_beta"]) / abs(slant_step_m(found))
 
 
 def slant_step_m(found: SimulatedProduct) -> float:
     """Of a pixel in the middle; negative where pixels run towards the radar."""
     line, pixel = (0.5 * (a + b - 1) for a, b in (found.window.lines, found.window.pixels))
     return float(found.product.grid.slant_step_m(line, pixel))
+
+
+def averaged_in_bands(
+    found: SimulatedProduct, cell: tuple[int, int], values: Callable[[slice], Sequence[F64]]
+) -> list[F64]:
+    """`averaged` of rasters of the window, whose rows `values` gives: so they need not be in memory as a whole."""
+    parts: list[list[F64]] = []
+    for rows in bands_of(found.window.shape, cell[0]):
+        parts.append([averaged(each, cell) for each in values(rows)])
+        for layer in found.image.values():
+            release(layer)
+    return [np.concatenate(each) for each in zip(*parts, strict=True)]
 
 
 def averaged(power: F64, cell: tuple[int, int]) -> F64:

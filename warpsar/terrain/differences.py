@@ -20,10 +20,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import label, map_coordinates
+from scipy.ndimage import label
 from scipy.special import chdtrc
 
-from warpsar.terrain.comparison import LEAST_CELLS, SQUARE, averaged, cell_of, slant_step_m
+from warpsar.terrain.comparison import LEAST_CELLS, SQUARE, averaged_in_bands, cell_of, line_length_m, slant_step_m
 from warpsar.terrain.result import SimulatedProduct
 from warpsar.terrain.scenery import ANGLES_DEG, surface_sigma0
 from warpsar.world.library.surfaces import SURFACES
@@ -175,24 +175,18 @@ class _Cells:
     """Pixels in cells, and the model there."""
 
     def __init__(self, found: SimulatedProduct) -> None:
-        image = found.image
         self.found, self.cell = found, cell_of(found)
         self.surfaces = found.scenery.surfaces
-        self.simulated = np.asarray(image["beta0"], np.float64)
-        self.known = np.isfinite(self.simulated) & np.isfinite(image["measured"])
-        self.noise = np.asarray(image["noise"], np.float64) if "noise" in image else np.zeros(self.simulated.shape)
-        cover = image.get("cover")
-        self.cover = np.zeros(self.simulated.shape) if cover is None else np.asarray(cover, np.float64)
-        self.measured = self._mean(np.asarray(image["measured"], np.float64))
-        self.has_noise = "noise" in image
+        self.has_noise = "noise" in found.image
+        self.measured, self.noise, self.latitude, self.longitude, self.incidence, tilt = averaged_in_bands(
+            found, self.cell, self._as_they_are
+        )
         step = slant_step_m(found)
-        line_m = float(np.nanmedian(image["area_beta"])) / abs(step)
-        self.per_metre: dict[str, tuple[float, float | F64]] = {
-            RANGE: (0.0, 1.0 / step),
-            AZIMUTH: (1.0 / line_m, 0.0),
-            HEIGHT: (0.0, -np.cos(np.deg2rad(np.asarray(image["ellipsoid_incidence"], np.float64))) / step),
-        }
-        """Lines and pixels by which the scene moves for a metre."""
+        line_m = line_length_m(found)
+        self.lines_per_metre = {RANGE: 0.0, AZIMUTH: 1.0 / line_m, HEIGHT: 0.0}
+        self.pixels_per_metre: dict[str, F64 | float] = {RANGE: 1.0 / step, AZIMUTH: 0.0, HEIGHT: -tilt / step}
+        """Lines and pixels, of cells, by which the scene moves for a metre."""
+        self.tilt = float(np.nanmean(tilt))
         row, column = np.indices(self.measured.shape)
         across = -(-self.measured.shape[1] // SQUARE)
         self.square = row // SQUARE * across + column // SQUARE
@@ -200,44 +194,95 @@ class _Cells:
         self.trend = [2.0 * at / max(n - 1, 1) - 1.0 for at, n in zip((row, column), self.measured.shape, strict=True)]
         self._placed: dict[tuple[float, ...], tuple[list[F64], list[F64], list[F64]]] = {}
         parts, _, _ = self.parts((0.0, 0.0, 0.0))
-        total = sum(parts) + self._mean(self.noise)
+        total = sum(parts) + self.noise
         middle = float(np.nanmedian(total))
         self.usable = np.isfinite(self.measured) & (self.measured > 0.0) & (total > 0.03 * middle)
         """Cells that are darker than everything else have no level to compare where no noise is annotated."""
         self.regions = self._regions(parts)
 
+    def _band(self, name: str, rows: slice) -> F64:
+        return np.asarray(self.found.image[name][rows], np.float64)
+
+    def _known(self, rows: slice) -> NDArray[np.bool_]:
+        image = self.found.image
+        return np.isfinite(image["beta0"][rows]) & np.isfinite(image["measured"][rows])
+
+    def _as_they_are(self, rows: slice) -> list[F64]:
+        known = self._known(rows)
+        values = [self._band("measured", rows)]
+        values.append(self._band("noise", rows) if self.has_noise else np.zeros(known.shape))
+        values += [self._band(name, rows) for name in ("latitude", "longitude", "incidence")]
+        values.append(np.cos(np.deg2rad(self._band("ellipsoid_incidence", rows))))
+        return [np.where(known, each, np.nan) for each in values]
+
     def half(self, which: int) -> NDArray[np.bool_]:
         return np.asarray(self._checker == which)
-
-    def _mean(self, values: F64) -> F64:
-        return averaged(np.where(self.known, values, np.nan), self.cell)
 
     def parts(self, moves: tuple[float, float, float]) -> tuple[list[F64], list[F64], list[F64]]:
         """beta0 of each surface in cells, and its slopes by a line and by a pixel, after moves [m] in range, azimuth
         and height."""
         if moves not in self._placed:
-            off = [sum(one * self.per_metre[name][k] for one, name in zip(moves, MOVES, strict=True)) for k in (0, 1)]
-            image, cover = np.nan_to_num(self.simulated), self.cover
-            if any(moves):
-                row, column = np.indices(image.shape).astype(np.float64)
-                at = [row - off[0], column - np.nan_to_num(off[1])]
-                image = map_coordinates(image, at, order=1, mode="nearest")
-                cover = map_coordinates(np.nan_to_num(cover), at, order=0, mode="nearest")
-            down, along = np.gradient(image)
-            found: tuple[list[F64], list[F64], list[F64]] = ([], [], [])
-            for k in range(len(self.surfaces)):
-                mine = cover == k if len(self.surfaces) > 1 else np.ones(image.shape, bool)
-                for into, values in zip(found, (image, down, along), strict=True):
-                    into.append(self._mean(np.where(mine, values, 0.0)))
+            count = len(self.surfaces)
+            means = averaged_in_bands(self.found, self.cell, lambda rows: self._moved(moves, rows))
+            found = means[:count], means[count : 2 * count], means[2 * count :]
             self._placed = {(0.0, 0.0, 0.0): self._placed.get((0.0, 0.0, 0.0), found), moves: found}
         return self._placed[moves]
+
+    def _moved(self, moves: tuple[float, float, float], rows: slice) -> list[F64]:
+        """The same of rows of the window: beta0 of all surfaces, then slopes by a line, then those by a pixel."""
+        known = self._known(rows)
+        # slopes are differences of neighbours: a row more on both sides, where there is one
+        wide = slice(max(rows.start - 1, 0), min(rows.stop + 1, self.found.window.shape[0]))
+        image, cover = self._beside(moves, wide)
+        inner = slice(rows.start - wide.start, rows.stop - wide.start)
+        fields = [each[inner] for each in (image, *np.gradient(image))]
+        made: list[F64] = []
+        for values in fields:
+            for k in range(len(self.surfaces)):
+                mine = known if cover is None else known & (cover[inner] == k)
+                made.append(np.where(known, np.where(mine, values, 0.0), np.nan))
+        return made
+
+    def _beside(self, moves: tuple[float, float, float], rows: slice) -> tuple[F64, F64 | None]:
+        """Simulated beta0 and surfaces of rows after moves, linear between pixels; beyond the image as at its edge."""
+        shape = self.found.window.shape
+        several = len(self.surfaces) > 1
+        if not any(moves):
+            cover = self._band("cover", rows) if several else None
+            return np.nan_to_num(self._band("beta0", rows)), cover
+        step = slant_step_m(self.found)
+        by = dict(zip(MOVES, moves, strict=True))
+        down = by[AZIMUTH] * self.lines_per_metre[AZIMUTH]
+        height = np.nan_to_num(np.cos(np.deg2rad(self._band("ellipsoid_incidence", rows)))) * by[HEIGHT]
+        column = np.arange(shape[1]) - (by[RANGE] - height) / step
+        whole = int(np.floor(-down))
+        below = -down - whole
+        left = np.floor(column)
+        beside = column - left
+
+        def row_of(name: str, more: int) -> F64:
+            at = np.clip(np.arange(rows.start, rows.stop) + more, 0, shape[0] - 1)
+            return np.nan_to_num(self._band(name, slice(int(at[0]), int(at[-1]) + 1))[at - at[0]])
+
+        def along(values: F64, at: F64) -> F64:
+            return np.take_along_axis(values, np.clip(at, 0, shape[1] - 1).astype(np.intp), axis=1)
+
+        image = (1.0 - below) * row_of("beta0", whole) + below * row_of("beta0", whole + 1)
+        image = (1.0 - beside) * along(image, left) + beside * along(image, left + 1)
+        cover = along(row_of("cover", int(np.floor(0.5 - down))), np.floor(column + 0.5)) if several else None
+        return image, cover
 
     def _regions(self, parts: list[F64]) -> dict[str, tuple[int, NDArray[np.bool_]]]:
         """Parts of the land cover that hang together, by name: the surface, and the cells."""
         if len(parts) < 2:
             return {}
         made: list[tuple[int, int, NDArray[np.bool_]]] = []
-        share = [self._mean((self.cover == k).astype(float)) for k in range(len(parts))]
+        share = averaged_in_bands(
+            self.found, self.cell,
+            lambda rows: [
+                np.where(self._known(rows), 1.0 * (self._band("cover", rows) == k), np.nan) for k in range(len(parts))
+            ],
+        )  # fmt: skip
         for k in range(len(parts)):
             mine = (share[k] > WHOLE) & self.usable
             numbered, count = label(mine)
@@ -260,8 +305,7 @@ class _Cells:
         """Of a fit: the logarithm of a factor, or metres of a move that slopes foretell."""
         if name not in MOVES:
             return 1.5
-        lines, pixels = self.per_metre[name]
-        return 2.0 / max(float(np.nanmax(np.abs(lines))), float(np.nanmax(np.abs(pixels))))
+        return 2.0 / max(self.lines_per_metre[name], float(np.nanmax(np.abs(self.pixels_per_metre[name]))))
 
     def model(self, names: list[str], x: F64, also: list[str] | None = None) -> _Modelled:
         """With hypotheses at values x; derivatives by them and by others at 0."""
@@ -271,7 +315,7 @@ class _Cells:
         factor = np.full(self.measured.shape, at.get("calibration", 0.0))
         for name, t in zip(TREND, self.trend, strict=True):
             factor = factor + at.get(name, 0.0) * t
-        whole, noise = np.exp(factor), np.exp(at.get("noise", 0.0)) * self._mean(self.noise)
+        whole, noise = np.exp(factor), np.exp(at.get("noise", 0.0)) * self.noise
         scaled, grown = [], []
         for k, surface in enumerate(self.surfaces):
             level = np.full(self.measured.shape, at.get(f"level of {surface}", 0.0))
@@ -300,10 +344,9 @@ class _Cells:
             of, where = self.regions[name]
             return np.where(where, grown[of], 0.0)
         if name in MOVES:
-            lines, pixels = self.per_metre[name]
-            pixels = self._mean(np.broadcast_to(pixels, self.simulated.shape))
+            lines, pixels = self.lines_per_metre[name], np.nan_to_num(self.pixels_per_metre[name])
             found = [
-                f * (lines * np.nan_to_num(d) + np.nan_to_num(pixels) * np.nan_to_num(a))
+                f * (lines * np.nan_to_num(d) + pixels * np.nan_to_num(a))
                 for f, d, a in zip(scaled, down, along, strict=True)
             ]
             return -np.sum(found, axis=0)
@@ -428,7 +471,8 @@ def _standard_deviations(cells: _Cells, names: list[str], x: F64, where: NDArray
     made = cells.model(names, x)
     scatter, slopes = _Scatter.of(cells, made.power, where), _slopes(made, names, where)
     bread = np.linalg.pinv(slopes.T @ (scatter.weights[:, None] * slopes))
-    return np.asarray(np.sqrt(np.diag(bread @ scatter.covariance(slopes) @ bread)))
+    variance = np.diag(bread @ scatter.covariance(slopes) @ bread)
+    return np.sqrt(np.where(variance > 0.0, variance, np.inf))  # rounding may leave what is not determined below 0
 
 
 def _difference(
@@ -460,7 +504,7 @@ def _granted(hertz: float, cells: _Cells, name: str, tied: tuple[str, ...]) -> f
         if name == HEIGHT:
             if RANGE not in tied:
                 return None
-            tells = float(np.nanmean(np.cos(np.deg2rad(cells.found.image["ellipsoid_incidence"]))))
+            tells = cells.tilt
         return PLACE_ALLOWANCE_M / tells
     return None
 
@@ -498,10 +542,9 @@ def _place_and_surfaces(
     found: SimulatedProduct, cells: _Cells, where: NDArray[np.bool_], of: int, value_db: float
 ) -> tuple[float, float, str]:
     """The middle of a region, and the library's surfaces whose level there is that of the region."""
-    whole = np.repeat(np.repeat(where, cells.cell[0], axis=0), cells.cell[1], axis=1)
-    part = tuple(slice(0, n) for n in whole.shape)
-    mine = [np.asarray(found.image[name])[part][whole] for name in ("latitude", "longitude", "incidence")]
-    latitude, longitude, angle = (float(np.nanmedian(each)) for each in mine)
+    latitude, longitude, angle = (
+        float(np.nanmedian(each[where])) for each in (cells.latitude, cells.longitude, cells.incidence)
+    )
     level = {
         name: DB * float(np.log(np.interp(angle, ANGLES_DEG, surface_sigma0(name, found.product)))) for name in SURFACES
     }

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpsar.io import figures
+from warpsar.io.bands import bands_of, median, release
 from warpsar.io.grey_scale import GreyScale, in_decibel
 from warpsar.terrain.comparison import TerrainComparison
 from warpsar.terrain.differences import TerrainDifferences
@@ -31,11 +32,15 @@ def thinned(values: np.ndarray) -> tuple[np.ndarray, int, int]:
     rows, columns = (n // step for n in values.shape)
     if step == 1 or not rows or not columns:
         return np.asarray(values), 1, 1
-    cut = np.asarray(values[: rows * step, : columns * step]).reshape(rows, step, columns, step)
-    known = np.isfinite(cut)
-    count = known.sum(axis=(1, 3))
-    total = np.where(known, cut, 0.0).sum(axis=(1, 3))
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan), step, step
+    means = []
+    for band in bands_of((rows * step, values.shape[1]), step):
+        cut = np.asarray(values[band, : columns * step]).reshape(-1, step, columns, step)
+        known = np.isfinite(cut)
+        count = known.sum(axis=(1, 3))
+        total = np.where(known, cut, 0.0).sum(axis=(1, 3))
+        means.append(np.where(count > 0, total / np.maximum(count, 1), np.nan))
+        release(values)
+    return np.concatenate(means), step, step
 
 
 def image_figure(found: SimulatedProduct) -> Figure:
@@ -110,7 +115,7 @@ def _of_cells(
 
 def _aspect(found: SimulatedProduct) -> float:
     """Of a line to a pixel on the ground, by areas: a picture is shown as the ground lies."""
-    area = np.nanmedian(found.image["area_sigma"])
+    area = median(found.image["area_sigma"])
     product = found.product
     middle = [0.5 * (a + b - 1) for a, b in (found.window.lines, found.window.pixels)]
     mean = 0.5 * (found.elevation.lowest_m + found.elevation.highest_m)

@@ -13,6 +13,7 @@ from uuid import uuid4
 
 import numpy as np
 
+from warpsar.io.bands import bands_of, release
 from warpsar.io.geotiff import write_cog
 from warpsar.io.images import replacing
 from warpsar.runtime.extra import Extra
@@ -28,6 +29,8 @@ EXTRAS = {
     "netcdf": Extra("xarray", ("xarray", "h5netcdf")),
     "zarr": Extra("xarray", ("xarray", "zarr")),
 }
+CHUNK = 512
+"""Lines and pixels of a piece of NetCDF and Zarr."""
 PLACE = ("longitude", "latitude", "height")
 
 
@@ -75,9 +78,39 @@ def writers(found: SimulatedProduct, out: Path, file_format: str) -> dict[str, C
 
 
 def _write_netcdf(path: Path, data: xarray.Dataset) -> None:
-    packed = {each: {"zlib": True, "complevel": 4} for each in data.data_vars if data[each].ndim}
+    """Axes and attributes by xarray; layers by bands, which xarray cannot write without Dask."""
     with replacing(path) as temporary:
-        data.to_netcdf(temporary, engine="h5netcdf", encoding=packed)
+        layers = _layers(data)
+        data.drop_vars(layers).to_netcdf(temporary, engine="h5netcdf")
+
+        import h5netcdf
+
+        with h5netcdf.File(temporary, "a") as file:
+            for name, said in layers.items():
+                one = data[name]
+                chunks = tuple(min(CHUNK, n) for n in one.shape)
+                variable = file.create_variable(
+                    name, one.dims, one.dtype, fillvalue=one.dtype.type(np.nan), chunks=chunks, compression="gzip",
+                    compression_opts=4,
+                )  # fmt: skip
+                variable.attrs.update(said)
+                _fill(variable, one.data)
+
+
+def _layers(data: xarray.Dataset) -> dict[str, dict[str, Any]]:
+    """Attributes of all variables over two axes, by name, as xarray would write them."""
+    names = [str(name) for name in data.variables if data[name].ndim == 2]
+    beside = " ".join(str(name) for name in data.coords if data[name].ndim == 2)
+    return {
+        name: {**data[name].attrs, **({"coordinates": beside} if beside and name not in data.coords else {})}
+        for name in names
+    }
+
+
+def _fill(into: Any, values: np.ndarray) -> None:
+    for rows in bands_of(values.shape, CHUNK):
+        into[rows] = values[rows]
+        release(values)
 
 
 def _units(bands: dict[str, np.ndarray], on_map: bool) -> dict[str, str]:
@@ -89,7 +122,21 @@ def _write_zarr(path: Path, data: xarray.Dataset) -> None:
     """A folder, which takes the place of one that was there when it is whole."""
     temporary = path.with_name(f".{uuid4().hex}{path.suffix}")
     try:
-        data.to_zarr(temporary, mode="w", zarr_format=2, consolidated=True)
+        layers = _layers(data)
+        data.drop_vars(layers).to_zarr(temporary, mode="w", zarr_format=2, consolidated=False)
+
+        import zarr
+
+        group = zarr.open_group(temporary, mode="a", zarr_format=2)
+        for name, said in layers.items():
+            one = data[name]
+            listed = {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in said.items()}
+            array = group.create_array(
+                name, shape=one.shape, dtype=one.dtype, chunks=tuple(min(CHUNK, n) for n in one.shape),
+                fill_value=float("nan"), attributes={**listed, "_ARRAY_DIMENSIONS": [str(each) for each in one.dims]},
+            )  # fmt: skip
+            _fill(array, one.data)
+        zarr.consolidate_metadata(temporary, zarr_format=2)
         if path.exists():
             shutil.rmtree(path)
         os.replace(temporary, path)

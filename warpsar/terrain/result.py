@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import tempfile
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
-from threading import Lock
+from pathlib import Path
+from threading import Lock, Semaphore
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpsar.errors import InputError
+from warpsar.io.bands import bands_of, in_file, release
 from warpsar.io.geotiff import AffinePlace
 from warpsar.products.product import ImagedPoint, Product, to_beta0
 from warpsar.runtime import console
@@ -23,6 +25,7 @@ from warpsar.runtime.threads import in_threads
 from warpsar.terrain.blocks import Box, ImageBlock, ImageWindow, blocks_of, window_of
 from warpsar.terrain.elevation import Elevation
 from warpsar.terrain.ground import edges_of, ground_of
+from warpsar.terrain.memory import TwinForecast, forecast, refuse_small_disk
 from warpsar.terrain.projection import BlockPixels, BlockProjection
 from warpsar.terrain.scenery import Scenery
 from warpsar.world.earth import same_turn
@@ -34,8 +37,6 @@ LEAST_SURFACE = 0.01
 """Lit surfaces of a pixel: with less, its areas say nothing of sigma0 and gamma0."""
 FINEST = 8
 """Parts of a post's cell along one side, on the map."""
-IN_MEMORY = 2**30
-"""Bytes of layers; more go to a file without a name, in the folder for temporary ones."""
 
 
 @dataclass(frozen=True)
@@ -54,8 +55,7 @@ class SimulatedProduct:
     scenery: Scenery
     pixels: str
     """What the product's own pixels are; why there are none."""
-    blocks: int = 1
-    notes: tuple[str, ...] = field(default=())
+    forecast: TwinForecast
 
     @property
     def measured(self) -> bool:
@@ -69,10 +69,12 @@ def simulated(
     scenery: Scenery,
     crop: Box | None,
     device: wp.Device,
+    scratch: Path | None = None,
 ) -> SimulatedProduct:
     """The layers of the part of `product` that `elevation` covers, or of `crop` of it.
 
-    Raises InputError where the product does not show the elevation model.
+    Layers that memory should not hold are arrays in files without a name in `scratch`, by default in the folder for
+    temporary ones. Raises InputError where the product does not show the elevation model, or a disk is too small.
     """
     window = window_of(product, elevation, crop)
     blocks = list(blocks_of(product, elevation, window))
@@ -84,15 +86,21 @@ def simulated(
     columns = min(b.columns[0] for b in blocks), max(b.columns[1] for b in blocks)
     pixels, words = _pixels(product, window)
     canvas = _Canvas(
-        product, elevation, window, rows, columns, fine, device, noise=_has_noise(product),
-        measured=pixels, cover=len(scenery.surfaces) > 1,
+        product, elevation, window, blocks, rows, columns, fine, device, noise=_has_noise(product),
+        measured=pixels, surfaces=len(scenery.surfaces), scratch=scratch,
     )  # fmt: skip
     bar = console.progress(len(blocks), "twin", "block")
-    tasks = [partial(canvas.fill, block, scenery, device) for block in blocks]
+    turns = Semaphore(canvas.forecast.at_once)
+
+    def fill(block: ImageBlock) -> None:
+        with turns:
+            canvas.fill(block, scenery, device)
+
+    tasks = [partial(fill, block) for block in blocks]
     for _ in in_threads(tasks):  # on a GPU, too: most of a block's time is the host's
         bar.update()
     bar.close()
-    if not np.isfinite(canvas.image["area_sigma"]).any():
+    if not canvas.any_ground:
         raise InputError(f"{product.source}: it shows no ground of {elevation.path}; must overlap where that has data")
     canvas.crop_map()
     place = _part(elevation.affine, columns[0] + canvas.map_left / fine, rows[0] + canvas.map_top / fine, fine)
@@ -105,7 +113,7 @@ def simulated(
         AffinePlace(elevation.crs, place),
         scenery,
         words,
-        len(blocks),
+        canvas.forecast,
     )
 
 
@@ -151,6 +159,7 @@ class _Canvas:
         product: Product,
         elevation: Elevation,
         window: ImageWindow,
+        blocks: Sequence[ImageBlock],
         rows: tuple[int, int],
         columns: tuple[int, int],
         fine: int,
@@ -158,7 +167,8 @@ class _Canvas:
         *,
         noise: bool,
         measured: bool,
-        cover: bool,
+        surfaces: int,
+        scratch: Path | None,
     ) -> None:
         self.product, self.elevation, self.window = product, elevation, window
         self.rows, self.columns, self.fine = rows, columns, fine
@@ -166,14 +176,20 @@ class _Canvas:
         self._turn: AbstractContextManager[Any] = nullcontext() if device.is_cpu else Lock()  # one block on a GPU
         single = ["beta0", "sigma0", "gamma0", "incidence", "ellipsoid_incidence", "layover", "shadow", "surfaces"]
         single += ["area_beta", "area_sigma", "area_gamma", "height"]
-        single += ["noise"] * noise + ["measured"] * measured + ["cover"] * cover
+        single += ["noise"] * noise + ["measured"] * measured + ["cover"] * (surfaces > 1)
         mapped = ["beta0", "sigma0", "gamma0", "incidence", "layover", "shadow", "surfaces"]
         mapped += ["measured", "measured_gamma0"] * measured
         shape = (rows[1] - rows[0]) * fine, (columns[1] - columns[0]) * fine
-        size = 4 * (len(single) + 4) * window.shape[0] * window.shape[1] + 4 * (len(mapped) + 4) * shape[0] * shape[1]
-        large = size > IN_MEMORY
-        self.image = _rooms(window.shape, single, ("longitude", "latitude"), large)
-        self.map = _rooms(shape, mapped, ("line", "pixel"), large)
+        # two layers of each are in double precision
+        sizes = [4 * (len(names) + 4) * math.prod(size) for names, size in ((single, window.shape), (mapped, shape))]
+        self.forecast = forecast(blocks, sizes[0], sizes[1], math.prod(window.shape) * measured, surfaces)
+        console.say(f"twin: {self.forecast}")
+        refuse_small_disk(self.forecast, scratch)
+        room = partial(_room, large=self.forecast.in_files, scratch=scratch)
+        self.image = _rooms(window.shape, single, ("longitude", "latitude"), room)
+        self.map = _rooms(shape, mapped, ("line", "pixel"), room)
+        self._filled = np.zeros(shape[0], bool), np.zeros(shape[1], bool)
+        self.any_ground = False
 
     def fill(self, block: ImageBlock, scenery: Scenery, device: wp.Device) -> None:
         ground = ground_of(self.product, self.elevation, block, scenery)
@@ -205,6 +221,9 @@ class _Canvas:
         )
         for name, values in made.items():
             self.map[name][rows, columns][inside] = values
+            release(self.map[name])
+        for filled, part, axis in zip(self._filled, (rows, columns), (1, 0), strict=True):
+            filled[part][inside.any(axis=axis)] = True
 
     def _fill_image(self, block: ImageBlock, found: BlockPixels, edges: F64) -> dict[str, np.ndarray]:
         """The block's part of each layer."""
@@ -241,6 +260,8 @@ class _Canvas:
             if name in self.image:
                 part = self.image[name][top : top + values.shape[0], left : left + values.shape[1]]
                 part[...] = values
+                release(part)
+        self.any_ground |= bool(np.isfinite(made["area_sigma"]).any())
         return made
 
     def _radiometry(
@@ -277,8 +298,7 @@ class _Canvas:
 
     def crop_map(self) -> None:
         """Leave out rows and columns of the map that no block has filled."""
-        there = np.isfinite(self.map["line"])
-        rows, columns = (np.flatnonzero(there.any(axis=axis)) for axis in (1, 0))
+        rows, columns = map(np.flatnonzero, self._filled)
         if not rows.size:
             return
         self.map_top, self.map_left = int(rows[0]), int(columns[0])
@@ -290,18 +310,24 @@ def _lines(block: ImageBlock) -> tuple[int, int]:
     return block.window.lines[0] - block.grid_line, block.window.lines[1] - block.grid_line
 
 
-def _rooms(shape: Sequence[int], single: Sequence[str], double: Sequence[str], large: bool) -> dict[str, np.ndarray]:
+def _rooms(
+    shape: Sequence[int],
+    single: Sequence[str],
+    double: Sequence[str],
+    room: Callable[[Sequence[int], type], np.ndarray],
+) -> dict[str, np.ndarray]:
     """Layers by name, in single and in double precision."""
     kinds = dict.fromkeys(single, np.float32) | dict.fromkeys(double, np.float64)
-    made = in_threads([partial(_room, shape, kind, large) for kind in kinds.values()])
+    made = in_threads([partial(room, shape, kind) for kind in kinds.values()])
     return dict(zip(kinds, made, strict=True))
 
 
-def _room(shape: Sequence[int], kind: type, large: bool) -> np.ndarray:
-    """NaN everywhere; in a file without a name where `large`."""
+def _room(shape: Sequence[int], kind: type, *, large: bool, scratch: Path | None) -> np.ndarray:
+    """NaN everywhere; in a file where `large`."""
     if not large:
         return np.full(shape, np.nan, kind)
-    file = tempfile.TemporaryFile()  # noqa: SIM115 (the array holds it open)
-    made = np.memmap(file, kind, "w+", shape=tuple(shape))
-    made[...] = np.nan
+    made = in_file(shape, kind, scratch)
+    for rows in bands_of(shape):
+        made[rows] = np.nan
+        release(made)
     return made

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from warpsar.io.bands import bands_of, order_statistics, release
 from warpsar.runtime.threads import in_threads
 from warpsar.terrain.layers import of_image
 from warpsar.terrain.result import SimulatedProduct
@@ -51,32 +54,47 @@ class TwinSummary:
 def summary(found: SimulatedProduct) -> TwinSummary:
     """Percentiles of each layer, shares of layover and shadow, and sentences for people."""
     image = found.image
-    covered = np.isfinite(image["surfaces"])
-    shares = [float(np.mean(image[name][covered] >= 0.5)) for name in ("layover", "shadow")]
+    rows, columns = found.window.shape
+    covered = _count(image["surfaces"], np.isfinite)
+    shares = [_count(image[name], lambda part: part >= 0.5) / max(covered, 1) for name in ("layover", "shadow")]
     layers = []
-    percentiles = in_threads([partial(_percentiles, image[name][covered], of_image(name).kind) for name in image])
+    percentiles = in_threads([partial(_percentiles, image[name], of_image(name).kind) for name in image])
     for name, values in zip(image, percentiles, strict=True):
         layer = of_image(name)
         unit = "dB" if layer.kind == "power" else layer.unit
         if values:
             layers.append(LayerSummary(name, unit, layer.words, values))
-    rows, columns = found.window.shape
+    ground = covered / (rows * columns)
     words = [
         f"{rows} lines x {columns} pixels of {found.product.platform}, {found.pixels}",
-        f"ground in {covered.mean():.1%} of them; of those {shares[0]:.2%} in layover, {shares[1]:.2%} in shadow",
+        f"ground in {ground:.1%} of them; of those {shares[0]:.2%} in layover, {shares[1]:.2%} in shadow",
         f"heights: {found.elevation.datum.words}",
     ]
-    return TwinSummary((rows, columns), float(covered.mean()), shares[0], shares[1], tuple(layers), tuple(words))
+    return TwinSummary((rows, columns), ground, shares[0], shares[1], tuple(layers), tuple(words))
+
+
+def _count(values: np.ndarray, what: Callable[[np.ndarray], np.ndarray]) -> int:
+    """How many numbers of a layer are so; where there is no ground they are NaN."""
+    total = 0
+    for rows in bands_of(values.shape):
+        total += int(np.count_nonzero(what(values[rows])))
+        release(values)
+    return total
 
 
 def _percentiles(values: np.ndarray, kind: str) -> tuple[float, ...]:
     """`LEVELS` of finite values, linear between neighbours; of powers above zero, in dB. Empty where there are none."""
-    known = values[(values > 0.0) & (values < np.inf)] if kind == "power" else values[np.isfinite(values)]
-    if not known.size:
+    share = np.zeros(0)
+
+    def places(count: int) -> NDArray[np.int64]:
+        nonlocal share
+        share = np.array(LEVELS) / 100.0 * (count - 1)
+        return np.concatenate([np.floor(share), np.ceil(share)]).astype(np.int64)
+
+    ends = order_statistics(values, places, above_zero=kind == "power")
+    if not ends.size:
         return ()
-    place = np.array(LEVELS) / 100.0 * (known.size - 1)
-    ends = np.stack([np.floor(place), np.ceil(place)]).astype(int)
-    low, high = np.partition(known, np.unique(ends))[ends].astype(np.float64)  # their order is that of decibels, too
+    low, high = ends.reshape(2, -1)  # their order is that of decibels, too
     if kind == "power":
         low, high = 10.0 * np.log10(low), 10.0 * np.log10(high)
-    return tuple((low + (place - ends[0]) * (high - low)).tolist())
+    return tuple((low + (share - np.floor(share)) * (high - low)).tolist())
