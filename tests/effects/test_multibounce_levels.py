@@ -574,6 +574,50 @@ def test_open_corners_are_told(mesh: Mesh, told: str | None) -> None:
     assert (told in found) if told else ("open:" not in found)
 
 
+@pytest.mark.parametrize(
+    ("length", "height", "azimuth_deg", "frequency_hz", "rays", "flash"),
+    [
+        (8.0, 3.0, 0.0, 9.6e9, 16.0, True),
+        (5.0, 2.0, 1.2, 5.4e9, 16.0, True),
+        (8.0, 3.0, 6.0, 9.6e9, 16.0, False),
+        (8.0, 3.0, 6.0, 9.6e9, 64.0, False),
+        (2.0, 2.0, 15.0, 5.4e9, 16.0, False),
+    ],
+)
+def test_how_well_a_corner_is_known_where_rays_lack(
+    length: float,
+    height: float,
+    azimuth_deg: float,
+    frequency_hz: float,
+    rays: float,
+    flash: bool,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """No cell is cut, as where a view has too many. On the flash little is lost, and nothing said. Off it, 35 to 38 dB
+    below, up to 45 % are missing of the pattern. The share that is said holds, and is no bound of a single sample: by
+    the worst one it was 240 to 1100 %."""
+    monkeypatch.setattr(tracing, "_LEAST_BUDGET", 0)
+    monkeypatch.setattr(tracing, "_BUDGET", 0)
+    found = []
+    monkeypatch.setattr(tracing, "_remarks", lambda error: found.append(error) or [])
+    expected = averaged(length, height, frequency_hz, azimuth_deg, 45.0, (0.5, 0.5))
+    off = []
+    for seed in range(3):
+        monkeypatch.setattr(tracing, "_FOLLOWED", tracing._Kept())
+        more = {"max_bounces": 2, "shape": (24, 24), "rays_per_pixel": rays}
+        made = bouncing(dihedral(length, height), view(azimuth_deg, 45.0), frequency_hz, **more)
+        made = replace(made, sampling=made.sampling.model_copy(update={"seed": seed}))
+        off.append(total(made, "beta0_2_bounces_HH") / expected - 1.0)
+    actual, told = float(np.sqrt(np.mean(np.square(off)))), float(np.mean(found))
+    print(f"{length:g} x {height:g} m, {azimuth_deg:g} degrees, {rays:g} rays: off by {actual:.3f}, said {told:.3f}")
+    assert actual < told
+    if flash:
+        assert told < tracing._UNSURE
+    else:
+        assert actual > tracing._UNSURE
+        assert told < 0.8
+
+
 def coupled(records: dict[str, Any], field: np.ndarray, loose: np.ndarray, tubes: list[int]) -> cells.Coupled:
     """Groups of so many tubes whose fields have one phase, in the middle of the samples."""
     first, count = np.append(0, np.cumsum(tubes)), sum(tubes)

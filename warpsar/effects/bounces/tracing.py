@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 
 from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.bounces.cells import (
+    BRIGHT,
+    Borders,
     CellSamples,
     Coupled,
     SharedFields,
@@ -24,6 +26,7 @@ from warpsar.effects.bounces.cells import (
     borders_of,
     cells_of,
     couple,
+    errors_left,
     kinds_of,
     samples_of,
     share,
@@ -312,9 +315,10 @@ def _cuts(
     """The bands that have cells to cut, each with those of `kernels.border_kernel`, (n, 4).
 
     All cuts together send at most `_BUDGET` times as many rays again: the view's brightest samples come first. And the
-    largest relative error of the power of one of these that is left.
+    largest relative error that is left of the power of one of the brightest corners.
     """
-    found = [borders_of(fields, planes) for fields in shared if fields is not None]
+    there = [fields for fields in shared if fields is not None]
+    found = [borders_of(fields, planes) for fields in there]
     if not any(len(one.cell) for one in found):
         return {}, 0.0
     rays = followed.grid
@@ -324,17 +328,39 @@ def _cuts(
     )
     cell, worst, among = _once(cell - (rays.first_cell, 0), error, bright.astype(float), size)
     count = max(_BUDGET * size[0] * size[1], _LEAST_BUDGET) // (_RAYS_OF_STRIP * _STRIPS)
-    order = np.lexsort((-worst, -among))
-    left = float((worst * among)[order[count:]].max(initial=0.0))
-    order = order[:count]
+    order = np.lexsort((-worst, -among))[:count]
     if not count:
-        return {}, left
+        return {}, _left(there, found, planes, cell[:0], rays)
     cell, axis = _surveyed(cell[order], worst[order], among[order], followed, count, device)
+    left = _left(there, found, planes, cell, rays)
     order = np.lexsort((cell[:, 1], cell[:, 0]))
     start = np.array([rays.first_cell, 0])
     chosen = np.column_stack([cell + start, axis, np.full(len(cell), _STRIPS)])[order].astype(np.int32)
     owner = np.searchsorted([band.end_cell for band in bands], chosen[:, 0], side="right")
     return {int(at): np.ascontiguousarray(chosen[owner == at]) for at in np.unique(owner)}, left
+
+
+def _left(
+    shared: Sequence[SharedFields],
+    borders: Sequence[Borders],
+    planes: NDArray[np.int64],
+    cut: NDArray[np.int64],
+    rays: RayGrid,
+) -> float:
+    """The largest relative error of the power of one of the brightest corners, if these cells of the grid are `cut`."""
+    width = (rays.elevation_cells, 1)
+    cut_keys = cut @ width
+    corners = []
+    for fields, one in zip(shared, borders, strict=True):
+        own = one.owner >= 0
+        key = (one.cell[own] - (rays.first_cell, 0)) @ width
+        pair = np.unique(np.column_stack([key, one.owner[own]]), axis=0)  # a tube may have several unlike neighbours
+        count, free = (
+            np.bincount(pair[:, 1], weights, fields.tubes.size) for weights in (None, ~np.isin(pair[:, 0], cut_keys))
+        )
+        corners.append(errors_left(fields, planes, free / np.maximum(count, 1)))
+    power, error = (np.concatenate(both) for both in zip(*corners, strict=True))
+    return float(error[power > BRIGHT * power.max(initial=0.0)].max(initial=0.0))
 
 
 def _once(
