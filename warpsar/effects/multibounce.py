@@ -169,7 +169,9 @@ class Multibounce(Effect):
                     "levels depend; effects.point_spread declares the resolution"
                 )
         return [
-            one and (one, Fields(render, one.paths), Fields(render, one.coherent.paths) if one.coherent else None)
+            None
+            if one is None
+            else (one, Fields(render, one.paths), Fields(render, one.coherent.paths) if one.coherent else None)
             for one in traced.of
         ]
 

@@ -401,7 +401,7 @@ def borders_of(fields: SharedFields, planes: NDArray[np.int64]) -> Borders:
     start = cell.min(axis=0) - 1
     surfaces = np.zeros(np.ptp(cell, axis=0) + 3, np.int64)
     surfaces[tuple((cell - start).T)] = of
-    cell, of, error, bright, owner = (one[wanted] for one in (cell, of, error, bright, fields.owner))
+    cell, of, error, bright, owner = cell[wanted], of[wanted], error[wanted], bright[wanted], fields.owner[wanted]
     nobody = np.full_like(owner, -1)
     found = []
     for step in product((-1, 0, 1), repeat=2):
@@ -459,9 +459,11 @@ def errors_left(
     even = np.bincount(at, fields.even.astype(float), keys.size)
     cancelled = 1.0 - np.minimum(_ONE_PHASE * power / np.maximum(even**2, least), 1.0)
     of = keys % max(corners, 1)
-    total = np.bincount(of, power, corners)
+    total: NDArray[np.float64] = np.bincount(of, power, corners).astype(np.float64)
     lacks = _BIAS * np.bincount(of, power * cancelled * free / np.maximum(squares, least), corners)
-    error = np.hypot(np.sqrt(np.bincount(of, by_chance, corners)), lacks) / np.maximum(total, least)
+    error: NDArray[np.float64] = np.hypot(np.sqrt(np.bincount(of, by_chance, corners)), lacks) / np.maximum(
+        total, least
+    )
     return total, error
 
 
