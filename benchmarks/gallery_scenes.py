@@ -41,6 +41,13 @@ def tables(**library: str) -> str:
     return "".join(f'\n[materials.{name}]\nlibrary = "{surface}"\n' for name, surface in library.items())
 
 
+def roughened(name: str, surface: str, rms_height_m: float, correlation_length_m: float) -> str:
+    """A table of a surface that is rougher than small perturbation takes (kh < 0.3): our choice of heights, with the
+    model that holds for them (kh < 3, h / l < 0.4)."""
+    own = f'model = "i2em"\nrms_height_m = {rms_height_m}\ncorrelation_length_m = {correlation_length_m}\n'
+    return tables(**{name: surface}) + own
+
+
 def car(number: int, x: float, y: float, heading: float, size: tuple[float, float, float] = (4.6, 1.8, 1.5)) -> str:
     kind = "truck" if size[0] > 6 else "car"
     return (
@@ -158,8 +165,8 @@ def ship(folder: Path) -> Shot:
         parts.box("containers", (float(x), 32.0, 3.5), (12.2, 2.44, 2.6 * (1 + x % 3)))
     parts.write(folder / "scene.obj")
     # no mirrors: walls of containers are corrugated, plates of a ship dented between their ribs, cranes lattices
-    surfaces = {"ship": ("painted_steel", 0.004), "containers": ("metal", 0.01), "cranes": ("painted_steel", 0.006)}
-    extra = "".join(tables(**{n: s}) + f"rms_height_m = {h}\n" for n, (s, h) in surfaces.items())
+    extra = roughened("ship", "painted_steel", 0.004, 0.012)
+    extra += roughened("containers", "metal", 0.01, 0.03) + roughened("cranes", "painted_steel", 0.006, 0.018)
     effects = detailed(0.3, 1.5, "ship", "containers", "cranes")
     return Shot(
         "a container ship at a quay with two cranes", 148.0, 48.0, (330, 420), 0.5, effects=effects, extra=extra
@@ -193,7 +200,7 @@ def vehicle(folder: Path) -> Shot:
         parts.box("tracks", (x, -2.9, 1.55), (0.7, 0.5, 0.35))
     parts.write(folder / "scene.obj")
     # armour is cast and bolted: flat faces of a mesh would throw spots of light far over the grass
-    extra = tables(hull="painted_steel") + "rms_height_m = 0.003\n" + tables(tracks="metal")
+    extra = roughened("hull", "painted_steel", 0.003, 0.012) + tables(tracks="metal")
     effects = detailed(0.4, 0.25, "hull", "tracks")
     return Shot("a tracked vehicle on grass", 35.0, 55.0, (200, 240), 0.08, (0.0, 0.0, 0.8), effects, extra)
 

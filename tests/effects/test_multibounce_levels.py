@@ -1,5 +1,6 @@
 """Levels of corners by their roughness, against closed forms: sums of images, in dBsm."""
 
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -465,22 +466,16 @@ def test_backscatter_of_the_diffuse_end_is_small_perturbation(theta_deg: float, 
     assert scattered(d, -d, normal, zeta, name) == pytest.approx(4 * float(expected), rel=5e-3)
 
 
-def test_what_is_left_out_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two walls face to face over ground: rays go on after two bounces. And too few rays for a corner."""
-    canyon = mesh_of(
-        metal=join([plate((-3, 0, 0), (6, 0, 0), (0, 0, 6)), plate((-3, 3, 0), (6, 0, 0), (0, 0, 6))]),
-        ground=plate((-3, 0, 0), (6, 0, 0), (0, 3, 0)),
-    )
+def said(scene: Scene) -> str:
+    """All warnings of its first view."""
+    made = Simulation(scene, Stage.of(scene, CPU))
+    made.view(scene.views[0], 0)
+    return "\n".join(made.findings.warnings(scene))
 
-    def said(scene: Scene) -> str:
-        made = Simulation(scene, Stage.of(scene, wp.get_device("cpu")))
-        made.view(scene.views[0], 0)
-        return "\n".join(made.findings.warnings(scene))
 
-    told = said(bouncing(canyon, view(0.0, 30.0), 9.6e9, max_bounces=2))
-    assert "go on to another one after max_bounces = 2, and are left out; max_bounces = 3 takes them" in told
-    assert "cells of a pixel (0.5 x 0.5 m)" in told
+def test_too_few_rays_are_said(monkeypatch: pytest.MonkeyPatch) -> None:
     small = bouncing(trihedral("triangular", 0.5), view(45.0, AXIS_DEG), 9.6e9, shape=(4, 4), rays_per_pixel=8.0)
+    assert "cells of a pixel (0.5 x 0.5 m)" in said(small)
     assert "needed" not in said(small)  # its cells are cut
     monkeypatch.setattr(tracing, "_LEAST_BUDGET", 0)  # as in a large view, which has as many rays as may be added
     monkeypatch.setattr(tracing, "_FOLLOWED", tracing._Kept())
@@ -492,24 +487,135 @@ def test_what_is_left_out_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "left out" not in said(enough)
 
 
-def test_power_beyond_the_last_bounce_and_a_corner_inside_out() -> None:
-    """All rays of a trihedral go on after two bounces, which is said without a bound on the power: the third bounce
-    holds more than 50 dB above the two. Both sides of a face reflect: faces the other way round change nothing."""
+@pytest.mark.parametrize("reflection", ["roughness", "lobe"])
+@pytest.mark.parametrize(("kind", "a", "frequency_hz"), [("triangular", 0.5, 9.6e9), ("square", 1.0, 5.4e9)])
+def test_power_beyond_the_last_bounce_is_said(kind: str, a: float, frequency_hz: float, reflection: str) -> None:
+    """Of a trihedral two bounces lack the third: its closed form, beside which the two are nothing. The lobe has
+    what an image of three bounces has, and none after two."""
+    scene = bouncing(trihedral(kind, a), view(45.0, AXIS_DEG), frequency_hz, shape=(20, 20), rays_per_pixel=256.0)
+    tables = [{"strength": 1.0, "max_bounces": most, "reflection": reflection} for most in (2, 3)]
+    two, whole = (with_effect(scene, "multibounce", table) for table in tables)
+    expected = peak(kind, a, frequency_hz) if reflection == "roughness" else total(whole, "beta0_3_bounces_HH")
+    told = said(two)
+    (level,) = re.findall(r"those over 3 hold (-?[0-9.]+) dBsm in HH of view view", told)
+    assert float(level) == pytest.approx(db(expected), abs=0.3)  # a quarter of the rays
+    assert "max_bounces = 3 takes them" in told
+    has = total(two, "beta0_2_bounces_HH")
+    if reflection == "roughness":
+        (beside,) = re.findall(r"([+-][0-9.]+) dB to all bounces of its image", told)
+        assert float(beside) == pytest.approx(db(expected / has), abs=0.3)
+        assert expected > 1e5 * has
+    else:
+        assert has == 0.0
+        assert "and its image has no other bounces" in told
+    assert "left out" not in said(whole)
+
+
+def test_a_small_corner_that_is_left_out_of_a_large_scene_is_said() -> None:
+    """Of all rays that meet two surfaces one in five hundred goes on, and has the brightest pixel."""
+    street = dihedral(30.0, 8.0)
+    corner = trihedral("square", 0.5, CORNER + np.array([0.0, 12.0, 0.5]))
+    parts = {
+        name: (street.vertices, street.faces[street.face_material == n]) for n, name in enumerate(street.materials)
+    }
+    mesh = mesh_of(**parts, metal=(corner.vertices, corner.faces))
+    ground = {"eps_r": 5.0, "rms_height_m": 0.01, "correlation_length_m": 0.1}
+    materials = {"wall": ground, "ground": ground, "metal": METAL}
+    made = bouncing(
+        mesh, view(45.0, AXIS_DEG), 9.6e9, shape=(80, 80), materials=materials, max_bounces=2, rays_per_pixel=16.0
+    )
+    found = [float(one) for one in re.findall(r"those over 3 hold (-?[0-9.]+) dBsm", said(made))]
+    assert found == pytest.approx([db(peak("square", 0.5, 9.6e9))], abs=0.5)
+
+
+def test_rays_beyond_all_bounces_are_said() -> None:
+    """Two walls face to face over ground: rays go on after four bounces, and no more are followed."""
+    canyon = mesh_of(
+        metal=join([plate((-3, 0, 0), (6, 0, 0), (0, 0, 9)), plate((-3, 1, 0), (6, 0, 0), (0, 0, 6))]),
+        ground=plate((-3, 0, 0), (6, 0, 0), (0, 1, 0)),
+    )
+    told = said(bouncing(canyon, view(0.0, 30.0), 9.6e9, max_bounces=4))
+    assert "go on to another one after max_bounces = 4, the most that can be followed" in told
+
+
+def test_a_corner_inside_out_has_the_same_power() -> None:
+    """Both sides of a face reflect: faces the other way round change nothing."""
     corner = trihedral("square", 1.0)
-    scene = bouncing(corner, view(45.0, AXIS_DEG), 9.6e9, max_bounces=2, shape=(20, 20), rays_per_pixel=16.0)
-    made = Simulation(scene, Stage.of(scene, wp.get_device("cpu")))
-    made.view(scene.views[0], 0)
-    told = "\n".join(made.findings.warnings(scene))
-    assert "100 % of the rays that meet two surfaces go on" in told
-    assert "may be far more" in told
-    whole = with_effect(scene, "multibounce", {"strength": 1.0, "max_bounces": 3})
-    layers = simulate(whole, device="cpu", layers=True)[0].layers
-    two, three = (float(layers[f"beta0_{n}_bounces_HH"].astype(float).sum()) for n in (2, 3))
-    print(f"three bounces over two: {db(three / two):.0f} dB")
-    assert three > 1e5 * two
+    whole = bouncing(corner, view(45.0, AXIS_DEG), 9.6e9, shape=(20, 20), rays_per_pixel=16.0)
     turned = replace(whole, mesh=replace(corner, faces=corner.faces[:, ::-1]))
-    other = simulate(turned, device="cpu", layers=True)[0].layers["beta0_3_bounces_HH"].astype(float).sum()
-    assert other == pytest.approx(three, rel=1e-3)  # float32 sums in another order
+    one, other = (total(scene, "beta0_3_bounces_HH") for scene in (whole, turned))
+    assert other == pytest.approx(one, rel=1e-3)  # float32 sums in another order
+
+
+def wall_above(ground_m: float, **more: Any) -> Mesh:
+    """A wall of 3 m whose foot is so high above level ground, and more parts."""
+    wall = plate((-3, 0, ground_m), (6, 0, 0), (0, 0, 3))
+    return mesh_of(wall=wall, ground=plate((-5, -2, 0), (10, 0, 0), (0, 8, 0)), **more)
+
+
+@pytest.mark.parametrize(
+    ("mesh", "told"),
+    [
+        (wall_above(0.05), "1 corner is open: faces of materials.wall end 5 cm before those of materials.ground"),
+        (wall_above(0.0), None),
+        (wall_above(-0.3), None),  # it goes into the ground
+        (wall_above(0.002), None),  # a fifteenth of the wavelength
+        (wall_above(0.5), None),  # a sixth of the wall: it hangs
+        (wall_above(0.15, kerb=plate((-5, -1, 0.15), (10, 0, 0), (0, 2, 0))), None),  # it stands on a kerb
+        (
+            mesh_of(wall=plate((-3, 0, 0), (6, 0, 0), (0, 0, 3)), ground=plate((-5, 0.04, 0), (10, 0, 0), (0, 8, 0))),
+            "1 corner is open: faces of materials.ground end 4 cm before those of materials.wall",
+        ),
+    ],
+    ids=["open", "closed", "below", "narrow", "hanging", "kerb", "ground"],
+)
+def test_open_corners_are_told(mesh: Mesh, told: str | None) -> None:
+    found = said(bouncing(mesh, view(20.0, 45.0), 9.6e9, rays_per_pixel=16.0))
+    assert (told in found) if told else ("open:" not in found)
+
+
+@pytest.mark.parametrize(
+    ("length", "height", "azimuth_deg", "frequency_hz", "rays", "flash"),
+    [
+        (8.0, 3.0, 0.0, 9.6e9, 16.0, True),
+        (5.0, 2.0, 1.2, 5.4e9, 16.0, True),
+        (8.0, 3.0, 6.0, 9.6e9, 16.0, False),
+        (8.0, 3.0, 6.0, 9.6e9, 64.0, False),
+        (2.0, 2.0, 15.0, 5.4e9, 16.0, False),
+    ],
+)
+def test_how_well_a_corner_is_known_where_rays_lack(
+    length: float,
+    height: float,
+    azimuth_deg: float,
+    frequency_hz: float,
+    rays: float,
+    flash: bool,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """No cell is cut, as where a view has too many. On the flash little is lost, and nothing said. Off it, 35 to 38 dB
+    below, up to 45 % are missing of the pattern. The share that is said holds, and is no bound of a single sample: by
+    the worst one it was 240 to 1100 %."""
+    monkeypatch.setattr(tracing, "_LEAST_BUDGET", 0)
+    monkeypatch.setattr(tracing, "_BUDGET", 0)
+    found = []
+    monkeypatch.setattr(tracing, "_remarks", lambda error: found.append(error) or [])
+    expected = averaged(length, height, frequency_hz, azimuth_deg, 45.0, (0.5, 0.5))
+    off = []
+    for seed in range(3):
+        monkeypatch.setattr(tracing, "_FOLLOWED", tracing._Kept())
+        more = {"max_bounces": 2, "shape": (24, 24), "rays_per_pixel": rays}
+        made = bouncing(dihedral(length, height), view(azimuth_deg, 45.0), frequency_hz, **more)
+        made = replace(made, sampling=made.sampling.model_copy(update={"seed": seed}))
+        off.append(total(made, "beta0_2_bounces_HH") / expected - 1.0)
+    actual, told = float(np.sqrt(np.mean(np.square(off)))), float(np.mean(found))
+    print(f"{length:g} x {height:g} m, {azimuth_deg:g} degrees, {rays:g} rays: off by {actual:.3f}, said {told:.3f}")
+    assert actual < told
+    if flash:
+        assert told < tracing._UNSURE
+    else:
+        assert actual > tracing._UNSURE
+        assert told < 0.8
 
 
 def coupled(records: dict[str, Any], field: np.ndarray, loose: np.ndarray, tubes: list[int]) -> cells.Coupled:

@@ -29,13 +29,18 @@ NAMES += ["trihedrals", "forest", "bridge", "tank_farm", "wind_turbine"]
 @pytest.mark.full
 @pytest.mark.parametrize("name", NAMES)
 def test_a_scene_is_whole(name: str, gallery: ModuleType, tmp_path: Path) -> None:
-    """It loads; every material is one of the library; most of the mesh lies in the image (of the
-    vehicle's lawn the middle)."""
+    """It loads; every material is one of the library, in the domain of its model; most of the mesh lies in the image
+    (of the vehicle's lawn the middle)."""
     shot = gallery.SCENES[name](tmp_path)
     (tmp_path / "scene.toml").write_text(gallery.scene_text(shot, 4.0))
     scene = Scene.load(tmp_path / "scene.toml")
     assert all(material.library in SURFACES for material in scene.materials.values())
     assert {"point_spread", "noise_floor"} <= set(scene.effects)
+    k = 2.0 * np.pi * 9.6e9 / 299792458.0
+    for one in scene.materials.values():  # docs/scattering.md
+        smooth = one.model == "two_scale" and k * one.rms_height_m < 0.3
+        curved = one.model == "i2em" and k * one.rms_height_m < 3.0
+        assert smooth or (curved and one.rms_height_m < 0.4 * one.correlation_length_m)
     (view,) = scene.views
     a, i = np.deg2rad([view.azimuth_deg, view.incidence_deg])
     at = scene.mesh.vertices[np.unique(scene.mesh.faces)] - scene.reference_point_m

@@ -8,18 +8,24 @@ from typing import Any, ClassVar
 import numpy as np
 import warp as wp
 
-from warpsar.effects.base.effect import Effect
+from warpsar.effects.base.effect import Effect, LeftOut
 from warpsar.effects.base.parameter import amount, one_of
 from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.signature import SeenImage
 from warpsar.effects.base.trial import Context, ScoreStep, Trial
+from warpsar.effects.bounces.cells import bodies_of
+from warpsar.effects.bounces.gaps import gaps, sentences
 from warpsar.effects.bounces.lobe import lobe_power
 from warpsar.effects.bounces.roughness import Fields, coherent_power, diffuse_power
-from warpsar.effects.bounces.tracing import BouncesOfOneNumber, trace_paths
+from warpsar.effects.bounces.tracing import BouncesOfOneNumber, TracedPaths, planes_of, trace_paths
 from warpsar.kernels import binning
 from warpsar.kernels.codes import Polarization
 
 REFLECTIONS = ("roughness", "lobe")
+MOST = 4  # bounces that a path may have
+_TOLD = 0.05  # of the power of an image's bounces, 0.2 dB: less may be left out, unsaid
+_BEYOND_ALL = 0.023  # of the rays that meet two surfaces, 0.1 dB: so many may go on after `MOST` bounces, unsaid
+_SEEN = 1e-3  # of the brightest pixel: a pixel that what is left out would double is told from there on
 
 
 class Multibounce(Effect):
@@ -52,7 +58,7 @@ class Multibounce(Effect):
         ),
     )
     settings = (
-        one_of("max_bounces", 3, 2, 3, 4, description="Most surfaces on a path."),
+        one_of("max_bounces", 3, *range(2, MOST + 1), description="Most surfaces on a path."),
         one_of(
             "reflection",
             *(REFLECTIONS[0], *REFLECTIONS),
@@ -103,8 +109,38 @@ class Multibounce(Effect):
             image = _sum(render, image, share)
         return image
 
-    def _with_coordinates(self, render: Recorder) -> list[tuple[BouncesOfOneNumber, Fields, Fields | None] | None]:
-        """Paths by number of bounces, traced once for all renders of the hits, with the fields on them."""
+    def further(self, render: Recorder) -> Mapping[str, Any] | None:
+        most = render.settings[self.name]["max_bounces"]
+        return {"max_bounces": most + 1} if most < MOST and self._traced(render).further > 0.0 else None
+
+    def left_out(self, render: Recorder, other: Recorder) -> LeftOut | None:
+        most = render.settings[self.name]["max_bounces"]
+        found = []
+        for name in (layer.removeprefix("beta0_2_bounces_") for layer in render.layers if "_2_bounces_" in layer):
+            has = sum(render.layers[f"beta0_{n}_bounces_{name}"].numpy().astype(float) for n in range(2, most + 1))
+            lacks = other.layers[f"beta0_{most + 1}_bounces_{name}"].numpy().astype(float)
+            image = render.before_image[name].numpy()
+            doubled = lacks > np.maximum(image, _SEEN * (image + lacks).max(initial=0.0))
+            if lacks.sum() > _TOLD * has.sum() or doubled.any():
+                over = lacks.sum() / has.sum() if has.any() else np.inf
+                rcs_m2 = float(lacks.sum() * np.prod(render.spacing_m))
+                found.append(LeftOut(most + 1, name, rcs_m2, float(over)))
+        return max(found, key=lambda one: one.rcs_m2, default=None)
+
+    def doubts(self, render: Recorder) -> list[str]:
+        """Corners that are open in the mesh."""
+        target, double = render.stage.target, self._traced(render).of[0]
+        if double is None:
+            return []
+        (vertices, faces), materials = target.places_once, render.stage.surface.materials
+        pairs = np.stack([bounce.face.numpy() for bounce in double.paths.bounces], axis=1)
+        wavelength_m = 2.0 * np.pi / render.geometry.wavenumber
+        bodies = bodies_of(faces, planes_of(target))
+        found = gaps(vertices, faces, bodies, pairs, double.paths.weight.numpy(), wavelength_m)
+        return sentences(found, [materials[m] for m in render.stage.face_material.numpy()])
+
+    def _traced(self, render: Recorder) -> TracedPaths:
+        """Paths by number of bounces, traced once for all renders of the hits."""
         settings = render.settings[self.name]
         cell_m = render.resolution_m if settings["reflection"] == "roughness" else None
         most, derived = settings["max_bounces"], render.hits.derived
@@ -113,17 +149,30 @@ class Multibounce(Effect):
             # the same rays may have been sent for the other reading of a reflection
             of_cells = [traced for other, traced in list(derived.items()) if other[:2] == key[:2] and cell_m is None]
             derived[key] = of_cells[0].without_cells() if of_cells else trace_paths(render, most, cell_m)
-        if cell_m is not None:
-            render.remarks.extend(derived[key].remarks)
-            if cell_m == render.spacing_m:
-                size = " x ".join(f"{side:g}" for side in cell_m)
+        traced: TracedPaths = derived[key]
+        return traced
+
+    def _with_coordinates(self, render: Recorder) -> list[tuple[BouncesOfOneNumber, Fields, Fields | None] | None]:
+        """Paths by number of bounces, with the fields on them."""
+        traced = self._traced(render)
+        if render.settings[self.name]["max_bounces"] == MOST and traced.further > _BEYOND_ALL:
+            render.remarks.append(
+                f"multibounce: {100 * traced.further:.0f} % of the rays that meet two surfaces go on to another one "
+                f"after max_bounces = {MOST}, the most that can be followed: their power is left out, and is not known"
+            )
+        if render.settings[self.name]["reflection"] == "roughness":
+            render.remarks.extend(traced.remarks)
+            if render.resolution_m == render.spacing_m:
+                size = " x ".join(f"{side:g}" for side in render.resolution_m)
                 render.remarks.append(
                     f"multibounce: fields of corners are summed over cells of a pixel ({size} m), on which their "
                     "levels depend; effects.point_spread declares the resolution"
                 )
         return [
-            one and (one, Fields(render, one.paths), Fields(render, one.coherent.paths) if one.coherent else None)
-            for one in derived[key].of
+            None
+            if one is None
+            else (one, Fields(render, one.paths), Fields(render, one.coherent.paths) if one.coherent else None)
+            for one in traced.of
         ]
 
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from warpsar.effects.base.effect import LeftOut
 from warpsar.effects.registry import get
 from warpsar.models import registry
 from warpsar.models.base.model import DEFAULT
@@ -67,12 +68,24 @@ def _extent(stage: Stage, geometry: ViewGeometry) -> tuple[np.ndarray, np.ndarra
 class Findings:
     """What images showed. `areas`: as `lit_areas`, summed over views; `dark`: polarization -> view -> share of its lit
     pixels that are exactly 0; `remarks`: of effects, with the views that they are said of; `rays`: of each face of
-    the mesh, those that reach it, and those that reach it from behind, shape (2, faces), where bounces are followed."""
+    the mesh, those that reach it, and those that reach it from behind, shape (2, faces), where bounces are followed;
+    `left_out`: view -> what its bounces leave out."""
 
     areas: Any = 0.0
     dark: dict[str, dict[str, float]] = field(default_factory=dict)
     remarks: dict[str, dict[str, None]] = field(default_factory=dict)
     rays: Any = 0.0
+    left_out: dict[str, LeftOut] = field(default_factory=dict)
+
+    def add_left_out(self, render: ViewRender, found: LeftOut | None) -> None:
+        """What the bounces of a view whose render has run leave out."""
+        if found is not None:
+            self.left_out[render.view.name] = found
+
+    def add_remarks(self, render: ViewRender, remarks: Sequence[str]) -> None:
+        """What effects say of a view."""
+        for remark in remarks:
+            self.remarks.setdefault(remark, {})[render.view.name] = None
 
     def add(self, stage: Stage, render: ViewRender, beta0: dict[str, np.ndarray], lit: np.ndarray) -> None:
         """Of one view whose render has run."""
@@ -82,8 +95,7 @@ class Findings:
                 areas[other] = 0.0
                 areas[:, 0][other], areas[:, 2][other] = model_areas(stage, [render])[other].T
             self.areas = self.areas + areas
-        for remark in render.remarks:
-            self.remarks.setdefault(remark, {})[render.view.name] = None
+        self.add_remarks(render, render.remarks)
         if any(get(name).follows_rays for name in render.settings):
             self.rays = self.rays + _rays_of_faces(stage, render)
         for polarization in beta0.keys() & {"HV", "VH"}:
@@ -100,6 +112,7 @@ class Findings:
             whole.rays = whole.rays + part.rays
             for polarization, views in part.dark.items():
                 whole.dark.setdefault(polarization, {}).update(views)
+            whole.left_out |= part.left_out
             for remark, named in part.remarks.items():
                 whole.remarks.setdefault(remark, {}).update(named)
         return whole
@@ -109,6 +122,7 @@ class Findings:
         found = _domain_warnings(scene, self.areas) if np.ndim(self.areas) else []
         found += _behind_warnings(scene, self.rays) if np.ndim(self.rays) else []
         found += [f"{_views(views)}: {remark}" for remark, views in self.remarks.items()]
+        found += _left_out_warning(self.left_out)
         for polarization, views in sorted(self.dark.items()):
             found.append(
                 f"{_views(views)}: {polarization} is exactly 0 in {100 * max(views.values()):.3g} % of the lit pixels: "
@@ -156,6 +170,21 @@ def _behind_warnings(scene: World, rays: NDArray[np.floating]) -> list[str]:
                 "is open, and bounces inside of it are counted too"
             )
     return found
+
+
+def _left_out_warning(left_out: Mapping[str, LeftOut]) -> list[str]:
+    """One sentence for all views, with the power of the one that lacks most."""
+    if not left_out:
+        return []
+    view, most = max(left_out.items(), key=lambda item: item[1].rcs_m2)
+    beside = "and its image has no other bounces"
+    if np.isfinite(most.over):
+        beside = f"{10 * np.log10(most.over):+.1f} dB to all bounces of its image"
+    return [
+        f"{_views(left_out)}: multibounce: ways over more than max_bounces = {most.bounces - 1} surfaces are left out; "
+        f"those over {most.bounces} hold {10 * np.log10(most.rcs_m2):.1f} dBsm in {most.polarization} of view {view}, "
+        f"{beside}. max_bounces = {most.bounces} takes them"
+    ]
 
 
 SMALL = "small perturbation (kh < 0.3 and sqrt(2) h / l < 0.3)"

@@ -45,12 +45,15 @@ from warpsar.version import __version__
 from warpsar.world.tables import View
 from warpsar.world.world import World, geometry_of, refuse_without_views
 
+SHARE_LEFT_OUT, RAYS_LEFT_OUT = 0.25, 16.0
+"""Share of the rays by which power beyond the last bounce is found, and how many of a pixel there are at least."""
+
 
 class Simulation:
     """Images of a scene's views, with its declared materials and effects, one at a time.
 
     `seed` overrides the scene's; `merge` false keeps every ray's hit; `bar` counts rays. `part`: which
-    part of another image the scene's image is.
+    part of another image the scene's image is. `tells`: whether findings have what only further work finds out.
     """
 
     def __init__(
@@ -66,7 +69,9 @@ class Simulation:
         pictures: bool = False,
         bar: Any = None,
         part: Strip = WHOLE,
+        tells: bool = True,
     ) -> None:
+        self.tells = tells
         self.scene, self.stage, self.bar, self.part = scene, stage, bar, part
         self.seed = scene.seed(seed)
         self.layers, self.variance, self.merge, self.max_memory_gib = layers, variance, merge, max_memory_gib
@@ -97,7 +102,7 @@ class Simulation:
         one.lit_fraction = float(lit.mean())
         if self.variance:
             # half the squared difference of two independent images is each one's variance
-            other = self._images(view, view_seed(self.seed + 1, index + len(scene.views)))[2]
+            other = self._images(view, view_seed(self.seed + 1, index + len(scene.views)), again=True)[2]
             one.sampling_variance = {p: ((beta0[p] - other[p]) ** 2 / 2).astype(np.float32) for p in beta0}
         if self.pictures:
             one.covered = covered(stage.target, geometry_of(scene, view), grid)
@@ -138,10 +143,10 @@ class Simulation:
         return trace_view(self.scene, self.stage, view, seed=seed, effects=effects, **more)
 
     def _images(
-        self, view: View, seed: int
+        self, view: View, seed: int, again: bool = False
     ) -> tuple[Hits | None, int, dict[str, np.ndarray], dict[str, np.ndarray], np.ndarray]:
         """Hits, where they fit into memory, and their number; images; shares of them that effects tell apart; the
-        pixels that single-bounce light reaches."""
+        pixels that single-bounce light reaches. `again`: the view's findings are known."""
         effects = declared(self.scene, view)
         try:
             hits = self._trace(view, seed, effects, merge=self.merge, progress=self.bar)
@@ -150,6 +155,9 @@ class Simulation:
                 beta0 = render.forward()
             lit = _lit(render, beta0)
             self.findings.add(self.stage, render, beta0, lit)
+            if self.tells and not again:
+                with busy(f"{view.name}: power beyond the last bounce"):
+                    self._tell_more(view, seed, effects, render)
             shares = {n: a.numpy().reshape(render.shape) for n, a in render.layers.items()}
             return hits, hits.count, beta0, shares, lit
         except (MemoryError, RuntimeError, OutOfMemoryError) as error:
@@ -158,6 +166,18 @@ class Simulation:
         with busy(f"{view.name}: in bands"):
             count, beta0, lit = in_parts(partial(self._in_bands, view, seed, effects), f"view {view.name}", PARTS[1:])
         return None, count, beta0, {}, lit
+
+    def _tell_more(self, view: View, seed: int, effects: list[DeclaredEffect], render: ViewRender) -> None:
+        """Find doubts about the mesh; and what power rays have that go on after the last bounce, by fewer rays."""
+        for at, one in enumerate(effects):
+            self.findings.add_remarks(render, one.effect.doubts(render))
+            if one.effect.follows_rays and (settings := one.effect.further(render)) is not None:
+                wider = [*effects[:at], replace(one, settings={**one.settings, **settings}), *effects[at + 1 :]]
+                least = min(self.density, RAYS_LEFT_OUT / self.scene.grid.pixel_area_m2)
+                hits = self._trace(view, seed, wider, rays_per_m2=max(SHARE_LEFT_OUT * self.density, least))
+                other = ViewRender(self.stage, view, hits, render.shape, self.scene.radar.polarizations, wider)
+                other.forward()
+                self.findings.add_left_out(render, one.effect.left_out(render, other))
 
     def _in_bands(
         self, view: View, seed: int, effects: list[DeclaredEffect], bands: int

@@ -128,7 +128,7 @@ class Maker:
 
     def _make(self, view: View, number: int) -> SimulatedView:
         scene = replace(self.scene, views=[view]) if self.fresh else self.scene
-        simulation = Simulation(scene, self.stage, **asdict(self.options))
+        simulation = Simulation(scene, self.stage, tells=not self._warned, **asdict(self.options))
         made = simulation.view(view, self._seed(number))
         if not self._warned:  # of the first image of a scene: the others would say the same
             self._warned = True

@@ -160,6 +160,19 @@ class Effect:
         """A test of what this effect leaves and no other does, where there is one."""
         return None
 
+    def doubts(self, render: Recorder) -> list[str]:
+        """After a run: what may be wrong with the mesh, sentences. It costs work that a fit does not need."""
+        return []
+
+    def further(self, render: Recorder) -> Mapping[str, Any] | None:
+        """After a run, of an effect that `follows_rays`: settings under which it follows them over one more surface;
+        None where no ray goes on, or none can be followed."""
+        return None
+
+    def left_out(self, render: Recorder, other: Recorder) -> LeftOut | None:
+        """What the image of `render` lacks of the one of `other`, whose settings are `further`, if it matters."""
+        return None
+
     def check(self, scene: World, table: Mapping[str, Any]) -> str | None:
         """What is wrong with a valid table in this scene; None if nothing. The text follows `effects.<name>`."""
         return None
@@ -214,6 +227,20 @@ class Effect:
     def image(self, render: Recorder, p: wp.array, image: wp.array) -> wp.array:
         """What the system does to the image, beta0, shape (rows * cols,)."""
         return image
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """Power of ways over one surface more than an image has: over `bounces` surfaces.
+
+    `rcs_m2`: the sum over the image in `polarization`; `over`: the ratio to the bounces that the image has, infinite
+    where it has none.
+    """
+
+    bounces: int
+    polarization: str
+    rcs_m2: float
+    over: float
 
 
 @dataclass

@@ -29,6 +29,7 @@ class Recorder(Protocol):
     | `resolution_m`, `taper` | (range, azimuth) of a cell of the declared band and aperture, at least a pixel |
     | `settings[name]` | the settings of the effect `name` in this view |
     | `layers` | by name, shares of the beta0 that an effect keeps apart, shape (rows * cols,) |
+    | `before_image` | by polarization, the beta0 before the image stage, shape (rows * cols,) |
     | `remarks` | what a user should be told of this view's image, sentences |
     | `recorded[name]` | what an effect worked out for one polarization and needs for the next |
     """
@@ -45,6 +46,7 @@ class Recorder(Protocol):
     taper: tuple[str, str]
     settings: dict[str, Mapping[str, Any]]
     layers: dict[str, Any]
+    before_image: dict[str, wp.array]
     remarks: list[str]
     recorded: dict[str, Any]
 

@@ -34,10 +34,12 @@ _ONE_PHASE = 3.0
 _ABOUT = 0.25
 """Of a cell: power that falls about one place is spread over so much."""
 
-_BRIGHT = 1e-3
+BRIGHT = 1e-3
 """Power of a sample, over that of the brightest, from which on its accuracy counts."""
 _ERROR_OF_ONE = 1.26
 """Relative error of the power of a sample to which one tube sends."""
+_BIAS = 0.45
+"""Share of a power that comes from borders, which uncut tubes at them lack at most (docs/checks.md)."""
 _EDGE = 0.03
 """Share of a band over which its ends fall to 0."""
 
@@ -370,15 +372,17 @@ def _shares(
 
 @dataclass(frozen=True)
 class Borders:
-    """Ray cells at the borders of bodies: `cell` (azimuth, elevation), (n, 2); `error` and `bright`, (n,).
+    """Ray cells at the borders of bodies: `cell` (azimuth, elevation), (n, 2); `error`, `bright` and `owner`, (n,).
 
     `error` is that of the power of the brightest samples that the cell's tube sends to, relative, if it is not cut.
-    `bright`: whether these are among the view's brightest, and do not only stand out of the ground.
+    `bright`: whether these are among the view's brightest, and do not only stand out of the ground. `owner`: the group
+    of the tube; -1 for the cells beside it.
     """
 
     cell: NDArray[np.int64]
     error: NDArray[np.float64]
     bright: NDArray[np.bool_]
+    owner: NDArray[np.int64]
 
 
 def borders_of(fields: SharedFields, planes: NDArray[np.int64]) -> Borders:
@@ -391,21 +395,22 @@ def borders_of(fields: SharedFields, planes: NDArray[np.int64]) -> Borders:
     error, bright = errors[fields.owner], brightest[fields.owner]
     cell, wanted = fields.cell, error > 0.0  # other groups send nothing
     if not wanted.any():
-        return Borders(np.zeros((0, 2), np.int64), np.zeros(0), np.zeros(0, bool))
+        return Borders(np.zeros((0, 2), np.int64), np.zeros(0), np.zeros(0, bool), np.zeros(0, np.int64))
     _, met = np.unique(np.append(0, planes)[fields.records["faces"]], axis=0, return_inverse=True)
     of = met.reshape(-1)[fields.owner] + 1
     start = cell.min(axis=0) - 1
     surfaces = np.zeros(np.ptp(cell, axis=0) + 3, np.int64)
     surfaces[tuple((cell - start).T)] = of
-    cell, of, error, bright = cell[wanted], of[wanted], error[wanted], bright[wanted]
+    cell, of, error, bright, owner = cell[wanted], of[wanted], error[wanted], bright[wanted], fields.owner[wanted]
+    nobody = np.full_like(owner, -1)
     found = []
     for step in product((-1, 0, 1), repeat=2):
         beside = cell + step
         other = surfaces[tuple((beside - start).T)] != of
-        found += [(at[other], error[other], bright[other]) for at in (beside, cell)]
-    at = np.concatenate([one[0] for one in found])
-    error, bright = np.concatenate([one[1] for one in found]), np.concatenate([one[2] for one in found])
-    return Borders(at, error, bright)
+        found += [
+            (at[other], error[other], bright[other], whose[other]) for at, whose in ((beside, nobody), (cell, owner))
+        ]
+    return Borders(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
 
 
 def errors_of(fields: SharedFields) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
@@ -422,7 +427,7 @@ def errors_of(fields: SharedFields) -> tuple[NDArray[np.float64], NDArray[np.boo
     squares = np.bincount(sample, loose)
     least = np.finfo(float).tiny
     tubes = np.bincount(sample, np.sqrt(loose * fields.tubes[group])) ** 2 / np.maximum(squares, least)
-    bright = power > _BRIGHT * power.max(initial=0.0)
+    bright = power > BRIGHT * power.max(initial=0.0)
     error = _ERROR_OF_ONE * np.sqrt(squares / np.maximum(power, least)) * np.maximum(tubes, 1.0) ** -0.25
     strongest, worst, among = (np.zeros(fields.tubes.size) for _ in range(3))
     np.maximum.at(strongest, group, size)
@@ -430,6 +435,36 @@ def errors_of(fields: SharedFields) -> tuple[NDArray[np.float64], NDArray[np.boo
     np.maximum.at(worst, group[mine], error[sample[mine]])
     np.maximum.at(among, group[mine], bright[sample[mine]])
     return worst, among > 0.0
+
+
+def errors_left(
+    fields: SharedFields, planes: NDArray[np.int64], uncut: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Power of each corner, which is all that goes over the same planes, and its relative error; (corners,) each.
+
+    `uncut`: share of the tubes at borders, of each group, that are not cut. By chance these are in or out, as in
+    `errors_of`; samples err by themselves, so the power of a corner is better known than theirs. And where the fields
+    of a sample cancel, its power comes from the borders: tubes that end at random lack `_BIAS` of it, at most.
+    """
+    _, met = np.unique(np.append(0, planes)[fields.records["faces"]], axis=0, return_inverse=True)
+    met, group = met.reshape(-1), fields.group
+    _, sample = np.unique(fields.place, return_inverse=True)
+    corners = int(met.max(initial=-1)) + 1
+    keys, at = np.unique(sample * max(corners, 1) + met[group], return_inverse=True)
+    power = np.abs(_sums(at, fields.field, keys.size)) ** 2
+    loose, least = fields.loose.astype(float), np.finfo(float).tiny
+    squares, free = (np.bincount(at, loose * share, keys.size) for share in (1.0, uncut[group]))
+    tubes = np.bincount(at, np.sqrt(loose * fields.tubes[group]), keys.size) ** 2 / np.maximum(squares, least)
+    by_chance = _ERROR_OF_ONE**2 * free * power * np.maximum(tubes, 1.0) ** -0.5
+    even = np.bincount(at, fields.even.astype(float), keys.size)
+    cancelled = 1.0 - np.minimum(_ONE_PHASE * power / np.maximum(even**2, least), 1.0)
+    of = keys % max(corners, 1)
+    total: NDArray[np.float64] = np.bincount(of, power, corners).astype(np.float64)
+    lacks = _BIAS * np.bincount(of, power * cancelled * free / np.maximum(squares, least), corners)
+    error: NDArray[np.float64] = np.hypot(np.sqrt(np.bincount(of, by_chance, corners)), lacks) / np.maximum(
+        total, least
+    )
+    return total, error
 
 
 def _falls(

@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 
 from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.bounces.cells import (
+    BRIGHT,
+    Borders,
     CellSamples,
     Coupled,
     SharedFields,
@@ -24,6 +26,7 @@ from warpsar.effects.bounces.cells import (
     borders_of,
     cells_of,
     couple,
+    errors_left,
     kinds_of,
     samples_of,
     share,
@@ -42,8 +45,6 @@ _SEGMENT = 64  # cells of one thread on CUDA
 _FEWEST_BANDS, _MOST_BANDS = 8, 64  # on the CPU, where there is memory for them
 _RAYS_OF_BAND = 100_000  # from so many on, a launch costs little beside them
 _MOST_KEPT = 2**22  # records of paths that are kept, about half a GiB
-_TOLD = 0.023  # of the rays that meet two surfaces: that many may go on after the last bounce, unsaid
-_MOST = 4  # bounces that a path may have
 _UNSURE = 0.12  # of a bright corner's power, half a decibel: rays are too few
 _FAINTEST = 1e-3  # of a field, that a face is taken to mirror at least
 _BUDGET = 3  # times the rays of a view, that cutting may add
@@ -93,10 +94,12 @@ class BouncesOfOneNumber:
 class TracedPaths:
     """Paths of 2, 3, ... bounces, None where there are none of a number, and what a user should be told of them.
 
-    `without_cells` makes what the same rays have without cells, as if these had not been asked for.
+    `further`: share of the rays that meet two surfaces and go on to another one after all bounces. `without_cells`
+    makes what the same rays have without cells, as if these had not been asked for.
     """
 
     of: list[BouncesOfOneNumber | None]
+    further: float
     remarks: list[str]
     without_cells: Callable[[], TracedPaths]
 
@@ -126,7 +129,7 @@ def trace_paths(render: Recorder, max_bounces: int, cell_m: tuple[float, float] 
                 paths = fill(kernels.PathRecords, **own)
                 bounces = len(traced.paths.bounces)
                 traced.coherent = CoherentPaths(_paths(paths, bounces, followed.rays, target), samples)
-    return TracedPaths(found, list(followed.remarks), followed.without_cells)
+    return TracedPaths(found, followed.further, list(followed.remarks), followed.without_cells)
 
 
 @dataclass(frozen=True)
@@ -136,6 +139,7 @@ class _Followed:
     rays: RayGrid
     paths: list[BouncePaths | None]
     shared: list[SharedFields | None]
+    further: float
     remarks: list[str]
     without_cells: Callable[[], TracedPaths]
 
@@ -220,10 +224,10 @@ def _followed(render: Recorder, max_bounces: int, cell_m: tuple[float, float] | 
     def without_cells() -> TracedPaths:
         paths = _joined(plain, max_bounces, rays, target)
         found = [None if one is None else BouncesOfOneNumber(one) for one in paths]
-        return TracedPaths(found, _remarks(plain, max_bounces, 0.0), without_cells)
+        return TracedPaths(found, _further(plain), [], without_cells)
 
-    remarks = _remarks(traced_bands, max_bounces, error)
-    return _Followed(rays, _joined(traced_bands, max_bounces, rays, target), shared, remarks, without_cells)
+    paths, further = _joined(traced_bands, max_bounces, rays, target), _further(traced_bands)
+    return _Followed(rays, paths, shared, further, _remarks(error), without_cells)
 
 
 def _joined(traced: Sequence[_Traced], max_bounces: int, rays: RayGrid, target: Target) -> list[BouncePaths | None]:
@@ -243,14 +247,24 @@ def _joined(traced: Sequence[_Traced], max_bounces: int, rays: RayGrid, target: 
 
 
 def _kinds(render: Recorder) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """`kinds_of` the faces of the mesh by their material, and by their plane (to a centimetre)."""
+    """`kinds_of` the faces of the mesh by their material, and by their plane (`planes_of`)."""
     target = render.stage.target
-    p0, p1, p2 = (target.corners[corner] for corner in target.faces.numpy().T)
+    return kinds_of(_normals(target), render.stage.face_material.numpy()), planes_of(target)
+
+
+def planes_of(target: Target) -> NDArray[np.int64]:
+    """`kinds_of` the faces of the mesh by their plane, to a centimetre."""
+    normal = _normals(target)
+    distance = np.round((normal * target.corners[target.corner_numbers[:, 0]]).sum(axis=1), 2)
+    return kinds_of(normal, distance)
+
+
+def _normals(target: Target) -> NDArray[np.float64]:
+    p0, p1, p2 = (target.corners[corner] for corner in target.corner_numbers.T)
     normal = np.cross(p1 - p0, p2 - p0)
     length = np.linalg.norm(normal, axis=1, keepdims=True)
-    normal = normal / np.maximum(length, np.finfo(float).tiny)
-    distance = np.round((normal * p0).sum(axis=1), 2)
-    return kinds_of(normal, render.stage.face_material.numpy()), kinds_of(normal, distance)
+    found: NDArray[np.float64] = normal / np.maximum(length, np.finfo(float).tiny)
+    return found
 
 
 def _mirrors(render: Recorder) -> NDArray[np.float64]:
@@ -275,23 +289,20 @@ def _shared(
     return found
 
 
-def _remarks(traced: Sequence[_Traced], max_bounces: int, error: float) -> list[str]:
-    """What the paths leave out: bounces beyond the last one, and rays that bright corners lack (`error` of power)."""
-    found = []
+def _further(traced: Sequence[_Traced]) -> float:
+    """Share of the rays that meet two surfaces and go on to another one after all bounces."""
     met, further = np.sum([one.area for one in traced], axis=0) if traced else (0.0, 0.0)
-    if further > _TOLD * met:
-        more = f"max_bounces = {max_bounces + 1} takes them" if max_bounces < _MOST else "no more can be followed"
-        found.append(
-            f"multibounce: {100 * further / met:.0f} % of the rays that meet two surfaces go on to another one after "
-            f"max_bounces = {max_bounces}, and are left out; {more}. Their share of the power may be far more, as "
-            "rays that come back from a corner add up as fields"
-        )
-    if error > _UNSURE:
-        found.append(
-            f"multibounce: bright corners get so few rays that their power is known to {100 * error:.0f} % alone; "
-            "more rays_per_pixel of [sampling] are needed"
-        )
-    return found
+    return float(further / met) if further else 0.0
+
+
+def _remarks(error: float) -> list[str]:
+    """What a user should be told of rays that bright corners lack (`error` of power)."""
+    if error <= _UNSURE:
+        return []
+    return [
+        f"multibounce: bright corners get so few rays that their power is known to {100 * error:.0f} % alone; "
+        "more rays_per_pixel of [sampling] are needed"
+    ]
 
 
 def _cuts(
@@ -304,9 +315,10 @@ def _cuts(
     """The bands that have cells to cut, each with those of `kernels.border_kernel`, (n, 4).
 
     All cuts together send at most `_BUDGET` times as many rays again: the view's brightest samples come first. And the
-    largest relative error of the power of one of these that is left.
+    largest relative error that is left of the power of one of the brightest corners.
     """
-    found = [borders_of(fields, planes) for fields in shared if fields is not None]
+    there = [fields for fields in shared if fields is not None]
+    found = [borders_of(fields, planes) for fields in there]
     if not any(len(one.cell) for one in found):
         return {}, 0.0
     rays = followed.grid
@@ -316,17 +328,39 @@ def _cuts(
     )
     cell, worst, among = _once(cell - (rays.first_cell, 0), error, bright.astype(float), size)
     count = max(_BUDGET * size[0] * size[1], _LEAST_BUDGET) // (_RAYS_OF_STRIP * _STRIPS)
-    order = np.lexsort((-worst, -among))
-    left = float((worst * among)[order[count:]].max(initial=0.0))
-    order = order[:count]
+    order = np.lexsort((-worst, -among))[:count]
     if not count:
-        return {}, left
+        return {}, _left(there, found, planes, cell[:0], rays)
     cell, axis = _surveyed(cell[order], worst[order], among[order], followed, count, device)
+    left = _left(there, found, planes, cell, rays)
     order = np.lexsort((cell[:, 1], cell[:, 0]))
     start = np.array([rays.first_cell, 0])
     chosen = np.column_stack([cell + start, axis, np.full(len(cell), _STRIPS)])[order].astype(np.int32)
     owner = np.searchsorted([band.end_cell for band in bands], chosen[:, 0], side="right")
     return {int(at): np.ascontiguousarray(chosen[owner == at]) for at in np.unique(owner)}, left
+
+
+def _left(
+    shared: Sequence[SharedFields],
+    borders: Sequence[Borders],
+    planes: NDArray[np.int64],
+    cut: NDArray[np.int64],
+    rays: RayGrid,
+) -> float:
+    """The largest relative error of the power of one of the brightest corners, if these cells of the grid are `cut`."""
+    width = (rays.elevation_cells, 1)
+    cut_keys = cut @ width
+    corners = []
+    for fields, one in zip(shared, borders, strict=True):
+        own = one.owner >= 0
+        key = (one.cell[own] - (rays.first_cell, 0)) @ width
+        pair = np.unique(np.column_stack([key, one.owner[own]]), axis=0)  # a tube may have several unlike neighbours
+        count, free = (
+            np.bincount(pair[:, 1], weights, fields.tubes.size) for weights in (None, ~np.isin(pair[:, 0], cut_keys))
+        )
+        corners.append(errors_left(fields, planes, free / np.maximum(count, 1)))
+    power, error = (np.concatenate(both) for both in zip(*corners, strict=True))
+    return float(error[power > BRIGHT * power.max(initial=0.0)].max(initial=0.0))
 
 
 def _once(
