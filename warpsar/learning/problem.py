@@ -279,6 +279,10 @@ class FitProblem(SceneCoordinates):
         found = sorted((one for part in self._ranks.gather(mine) for one in part), key=lambda one: order.index(one[0]))
         return {f"{view} {polarization}": what for view, polarization, what in found}
 
+    def of_all_views(self, found: np.ndarray) -> np.ndarray:
+        """What the views at hand gave, shape (n,), with what the others gave: of all views, in no order."""
+        return np.concatenate(self._ranks.gather(found))
+
     @property
     def observations(self) -> list[Observation]:
         return [seen for view in self.views for seen in view.observations]
