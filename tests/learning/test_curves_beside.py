@@ -133,7 +133,9 @@ def test_a_material_that_only_images_and_curves_together_determine(tmp_path: Pat
     assert "Every value that is learned is determined by itself." in page
     low, high = found["both"]["materials"]["g"]["eps_r"]["interval_95"]
     assert f"({low:.3g} to {high:.3g})" in page
-    assert "Every value that is learned is determined by itself." in (tmp_path / "evaluated" / "report.html").read_text()
+    assert (
+        "Every value that is learned is determined by itself." in (tmp_path / "evaluated" / "report.html").read_text()
+    )
     assert "alone not identifiable" in (tmp_path / "images" / "out" / "report.html").read_text()
 
 
