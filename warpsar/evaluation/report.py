@@ -70,7 +70,8 @@ def write_report(
     verdict = verdict_sentence(Path(scene.path or "the scene").name, found)
     lead = (
         f"{' '.join(command[:2])} {content['version']}; {_curves_and(found)}{len(found.images)} images of "
-        f"{scene.grid.shape[0]} x {scene.grid.shape[1]} pixels, {content['rays_per_pixel']:.3g} rays per pixel, on {content['device']}"
+        f"{scene.grid.shape[0]} x {scene.grid.shape[1]} pixels, {content['rays_per_pixel']:.3g} rays per pixel, on "
+        f"{content['device']}"
     )
     sections = [
         *([report.paragraph(verdict)] if title else []),

@@ -118,7 +118,7 @@ class FitProblem(SceneCoordinates):
         if beside is not None:
             self.prior = Prior(self.prior.known, self.x0.size, self.prior.standard, beside(self))
         if roughness is not None:
-            self.prior = FieldPrior(self.prior.known, self.x0.size, roughness)
+            self.prior = FieldPrior(self.prior.known, self.x0.size, roughness, self.prior.standard)
         refuse_prior(self.prior, loss, scene.name)
         self.device, self.loss = device, loss
         self._ranks = ranks = join(device) if shared else ONE
