@@ -4,7 +4,7 @@
 
 Made scenes with starts beside the truth. Three have a table of sigma0 (`facet`) beside a surface whose h is learned:
 parts that share few pixels, the same under a blur, and both in every pixel. In the fourth a box stands beside its true
-place on ground of the table, with a wrong height and a wrong h. In the fifth the box stands on a field of h, and in the
+place on ground of the table, with a wrong height and a wrong h. In two the box stands on a field of h, and in the
 last one, which Adam fits, the table lies beside a field. For each of a few draws of speckle: the objective (negative
 log-likelihood and prior), the largest error of the table over the incidences seen, that of the box's place, the error
 of ln h (root mean square over a field's nodes that are seen), steps of the optimiser, and CPU seconds. Turns: some
