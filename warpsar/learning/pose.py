@@ -235,7 +235,7 @@ class PosedProblem:
             rest = self.levels.x(rest)
         return self.standing(x[self.size :]), rest
 
-    def begun(self, known: Mapping[str, float]) -> np.ndarray:
+    def start_from(self, known: Mapping[str, float]) -> np.ndarray:
         """The start, with what is known of it by label."""
         x = np.array([known.get(label, value) for label, value in zip(self.labels, self.x0, strict=True)])
         if self.levels is not None and self.nodes is not None:

@@ -129,7 +129,7 @@ class PoseSearch:
             smooth=self.smooth,
             values=self.values,
         )
-        start = problem.begun(self.known)
+        start = problem.start_from(self.known)
         if not blur_m:
             return problem, descend(problem, start)
         return problem, descend(problem, start, most=SEARCH_STEPS, flat=SEARCH_FLAT, near=True)
