@@ -1,6 +1,8 @@
 """Curves of RCS and images in one fit: what only both determine, and derivatives."""
 
+import base64
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -120,6 +122,21 @@ def test_a_material_that_only_images_and_curves_together_determine(tmp_path: Pat
     told = json.loads((tmp_path / "evaluated" / "evaluate.json").read_text())
     assert told["curves"][0]["error_db"]["model"] == pytest.approx(curve["error_db"]["model"], rel=1e-3)
     assert told["train"]["deviance"] == pytest.approx(found["both"]["train"]["deviance"], rel=1e-3)
+    # the pages say what the numbers say: the curve, before and after, and what both observations determine
+    page = (tmp_path / "both" / "out" / "report.html").read_text()
+    for words in ("its images and curves", "1 curve and 2 images", "Measured and modelled curves"):
+        assert words in page
+    drawn = re.search(r'base64,([^"]*)" alt="plate 9.6 GHz HH, train"', page)
+    assert drawn is not None
+    for line in (b"measured", b"before", b"model"):
+        assert b"<!-- " + line + b" -->" in base64.b64decode(drawn.group(1))
+    assert "Every value that is learned is determined by itself." in page
+    low, high = found["both"]["materials"]["g"]["eps_r"]["interval_95"]
+    assert f"({low:.3g} to {high:.3g})" in page
+    assert (
+        "Every value that is learned is determined by itself." in (tmp_path / "evaluated" / "report.html").read_text()
+    )
+    assert "alone not identifiable" in (tmp_path / "images" / "out" / "report.html").read_text()
 
 
 @pytest.mark.parametrize("further", [[], ["--folds", "2"]])

@@ -18,7 +18,15 @@ from warpsar.learning.command import run
 from warpsar.learning.geometry import Geometry
 from warpsar.learning.glints import with_glints
 from warpsar.learning.options import LearnOptions
-from warpsar.learning.pose import PosedProblem, _lower, _shortened, foretold_gain, render_elsewhere, without_shading
+from warpsar.learning.pose import (
+    DenseQuadratic,
+    PosedProblem,
+    _lower,
+    _shortened,
+    foretold_gain,
+    render_elsewhere,
+    without_shading,
+)
 from warpsar.learning.pose_pixels import FLOOR_SHARE, compared
 from warpsar.learning.pose_search import find_poses, group_pose
 from warpsar.learning.pose_sharing import boxes, columns_of, faces_about, shared
@@ -623,11 +631,13 @@ def test_a_step_that_gains_nothing_is_damped_however_many_gained_before() -> Non
     problem: Any = SimpleNamespace(
         bounds=(np.array([-1e3]), np.array([1e3])),
         size=0,
+        nodes=None,
         geometry=SimpleNamespace(coordinates=[SimpleNamespace(body="car")]),
         value=lambda at: float(0.5 * curvature * at[0] ** 2),
     )
     gradient, hessian = curvature * x, np.array([[curvature / 100.0]])
-    found = _lower(problem, x, problem.value(x), gradient, hessian, 1e-9, 1e-9)
+    here = DenseQuadratic(x, problem.value(x), gradient, hessian, problem.bounds)
+    found = _lower(problem, here, 1e-9, 1e-9)
     assert found is not None
     assert found[1] < problem.value(x)
 
@@ -635,6 +645,6 @@ def test_a_step_that_gains_nothing_is_damped_however_many_gained_before() -> Non
 @pytest.mark.unit
 def test_a_body_that_would_move_far_does_not_hold_another_back() -> None:
     coordinates = [SimpleNamespace(body=body) for body in ("car", "car", "van")]
-    problem: Any = SimpleNamespace(size=1, geometry=SimpleNamespace(coordinates=coordinates))
+    problem: Any = SimpleNamespace(size=1, nodes=None, geometry=SimpleNamespace(coordinates=coordinates))
     step = np.array([4.0, 5.0, -1.0, 0.5])
     np.testing.assert_allclose(_shortened(problem, step), [1.0, 1.0, -0.2, 0.5])

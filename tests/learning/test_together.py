@@ -12,7 +12,11 @@ from warpsar import Scene, learn, simulate
 from warpsar.learning.device_values import DeviceValues
 from warpsar.learning.identify import of_first, of_information
 from warpsar.learning.options import LearnOptions
+from warpsar.learning.pose import DenseQuadratic, PosedProblem
+from warpsar.learning.pose_pixels import compared
+from warpsar.learning.pose_search import lit_pixels
 from warpsar.learning.problem import FitProblem
+from warpsar.learning.sparse_quadratic import SparseQuadratic
 from warpsar.learning.table import tables_to_learn
 from warpsar.learning.term import with_untrained_terms
 from warpsar.runtime import devices
@@ -154,3 +158,72 @@ def test_a_pose_and_the_table_of_its_ground_are_found_together(tmp_path: Path) -
     # a number's interval knows that the table is unknown, and has no row of it
     assert found.identified is not None
     assert found.identified.labels == ["soil.rms_height_m"]
+
+
+def box_on_a_field() -> Scene:
+    """A box of known surface, whose place and height start wrong, on a soil whose h is another at each vertex. All its
+    nodes start at about half the h: 5 dB too dark. The images are of the truth."""
+    mesh = mesh_of(soil=ground(16.0, 8))
+    x, y = mesh.vertices[:, 0], mesh.vertices[:, 1]
+    true = SOIL["rms_height_m"] * np.exp(0.5 * np.sin(0.7 * x) * np.cos(0.6 * y))
+    views = [view(70 * k, angle, name=f"v{k}") for k, angle in enumerate((28, 36, 44, 52, 60))]
+    field = Material(**{**SOIL, "rms_height_m": "h", "layout": "vertex", "learn": ("rms_height_m",)})
+    rock = Material(**{**SOIL, "learn": ()})
+    both = []
+    for values, moved in (
+        (true, {"size_m": (4.0, 3.0, 2.0)}),
+        (np.full(len(true), 0.5 * SOIL["rms_height_m"]), {"position_m": (0.5, -0.4, 0.0), "size_m": (4.0, 3.0, 2.6)}),
+    ):
+        plain = scene_of(
+            replace(mesh, vertex_scalars={"h": values}),
+            views,
+            shape=(24, 24),
+            spacing_m=(0.6, 0.6),
+            polarizations=("HH",),
+            rays_per_pixel=64.0,
+            materials={"soil": field.model_dump(exclude_none=True)},
+        )
+        box = {**BOX, "material": "rock", "position_m": (0.0, 0.0, 0.0), "learn": ("position", "size"), **moved}
+        both.append(with_objects(plain, [Object.model_validate(box)], {"soil": field, "rock": rock}))
+    truth, start = both
+    return seeing(start, truth)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("blur_m", [0.0, 1.5])
+def test_fields_beside_poses_have_the_derivatives_of_the_loss(blur_m: float) -> None:
+    """Nodes and poses, or, on blurred images, the field's level and poses: against differences of the loss."""
+    scene, cpu = box_on_a_field(), devices.resolve_device("cpu")
+    pixels, gains = lit_pixels(scene, cpu, "gamma")
+    both = compared(scene, pixels, blur_m, gains)
+    problem = PosedProblem(both.scene, cpu, both.observations, smooth=True, forward=blur_m > 0.0)
+    x = problem.x0 + 0.02 * np.random.default_rng(1).normal(size=problem.x0.size)
+    assert isinstance(problem.quadratic(x, 0.0), DenseQuadratic if blur_m else SparseQuadratic)
+    assert ("soil.rms_height_m level" in problem.labels) == (blur_m > 0.0)
+    gradient = problem.quadratic(x, problem.value(x)).gradient
+    for seed, part in enumerate((slice(0, problem.size), slice(problem.size, None))):
+        way = np.zeros(x.size)
+        way[part] = np.random.default_rng(seed).normal(size=way[part].size)
+        way *= 4e-3 / np.abs(way).max()
+        expected = (problem.value(x + way) - problem.value(x - way)) / 2.0
+        # poses of blurred images have forward differences, over the step of a pose
+        assert float(gradient @ way) == pytest.approx(expected, rel=0.05 if blur_m else 0.02, abs=2e-3)
+
+
+@pytest.mark.full
+def test_a_box_on_a_field_that_starts_wrong_is_found_with_it(tmp_path: Path) -> None:
+    """With the field held at its level, the box grew by 11 m to make up for it (docs/learn-method.md)."""
+    options = LearnOptions(iterations=100, total_variation={"rms_height_m": 1.0})
+    found = learn(box_on_a_field(), device="cpu", folder=tmp_path / "out", options=options)
+    assert found.objects is not None
+    told = found.objects.found.objects["box"]
+    np.testing.assert_allclose(told["position_m"][:2], 0.0, atol=0.06)
+    np.testing.assert_allclose(told["size_m"][:2], (4.0, 3.0), atol=0.12)
+    assert (np.array(told["size_sd_m"][:2]) < 0.05).all()
+    mesh = found.scene.mesh
+    own = mesh.vertices[found.scene.parameters["materials.soil.rms_height_m"].used]
+    values = found.scene.parameters["materials.soil.rms_height_m"].value
+    values = values[found.scene.parameters["materials.soil.rms_height_m"].used]
+    true = SOIL["rms_height_m"] * np.exp(0.5 * np.sin(0.7 * own[:, 0]) * np.cos(0.6 * own[:, 1]))
+    seen = (np.abs(own).max(axis=1) < 6.0) & (np.abs(own).max(axis=1) > 2.6)
+    assert np.sqrt(np.mean(np.log(values / true)[seen] ** 2)) < 0.1

@@ -509,3 +509,20 @@ def test_intervals_hold_with_a_right_prior(tmp_path: Path) -> None:
     print(f"held {np.mean(held):.3f} of {len(held)}, alarms {alarms}, tensions sd {np.std(tensions):.2f}")
     assert np.mean(held) > 0.83
     assert alarms <= 1
+
+
+@pytest.mark.unit
+def test_a_prior_of_a_million_nodes_takes_no_square_of_them() -> None:
+    """A field has as many elements as texels; nothing is known of most. Their square would be 8 TB."""
+    size = 10**6
+    known = Known("soil.eps_r", 7, 5.0, 2.0, "1", lambda x: 4.0 + x, lambda x: 1.0)
+    prior = Prior((known,), size, slice(size - 2, size))
+    x = np.zeros(size)
+    x[7], x[-2:] = 2.0, (0.5, -1.0)
+    assert prior.value(x) == pytest.approx(0.5 * (0.5**2 + 0.5**2 + 1.0))
+    gradient = prior.gradient(x)
+    assert {int(k): float(gradient[k]) for k in np.flatnonzero(gradient)} == {
+        7: pytest.approx(0.25),
+        size - 2: 0.5,
+        size - 1: -1.0,
+    }

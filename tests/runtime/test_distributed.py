@@ -18,6 +18,7 @@ import pytest
 from click.testing import CliRunner
 from learning_scenes import bumpy, cube_scene, measured, starting, views_at
 from test_diagnose import saved
+from test_learned_table import GIVEN, bent, seeing, site
 from test_resume import outcome, small_scene, written
 from torchrun import ENVIRONMENT, finish, start, strike
 from worlds import SOIL, scene_of
@@ -159,6 +160,41 @@ def test_learn_on_two_ranks_is_learn_on_one(work: Path, name: str) -> None:
         apart = coordinate(together, label) - coordinate(alone, label)
         assert abs(apart) < 0.1 * one, label
     assert_near(together["identifiability"]["standard_deviation"], sd, 0.02)
+
+
+@pytest.mark.full
+@needs_torch
+def test_a_table_and_a_term_on_two_ranks_are_those_on_one(tmp_path: Path) -> None:
+    """Each process sees one or two of the three views: the incidences seen, the term's units and all values are of all
+    three. The values stop where a step promises less than 2e-3 in log-likelihood, a sixteenth of a standard
+    deviation."""
+    GIVEN.write(tmp_path / "given.csv")
+    bent().write(tmp_path / "bent.csv")
+    block = {**SOIL, "model": "i2em"}
+    truth = site({"lawn": {"sigma0": tmp_path / "bent.csv"}, "block": block}, ("HH", "VV"))
+    asked = {
+        "lawn": Material(model="facet", sigma0=tmp_path / "given.csv", learn=("sigma0",)),
+        "block": Material(**block, learn=("learned_term",)),
+    }
+    saved(seeing(replace(truth, materials=asked), truth, 0, tmp_path), tmp_path)
+    outs = [tmp_path / str(size) for size in (1, 2)]
+    for size, out in enumerate(outs, start=1):
+        finish(start(size, "-m", "warpsar", "learn", tmp_path / "scene.toml", "-o", out, "--starts", "1"))
+    assert [path.name for path in sorted(outs[0].iterdir())] == [path.name for path in sorted(outs[1].iterdir())]
+    alone, together = (json.loads((out / "learn.json").read_text()) for out in outs)
+    assert (alone["processes"], together["processes"]) == (1, 2)
+    assert together["loss"] == pytest.approx(alone["loss"], abs=5e-3)
+    lawns = [content["learned_tables"]["lawn"] for content in (alone, together)]
+    assert lawns[1]["incidence_seen_deg"] == lawns[0]["incidence_seen_deg"]
+    for channel in ("HH", "VV"):
+        (one, own), sd = (np.array(lawn["learned_db"][channel]) for lawn in lawns), np.array(lawns[0]["sd_db"][channel])
+        assert (np.abs(own - one) < 0.1 * sd).all()
+        np.testing.assert_allclose(lawns[1]["sd_db"][channel], sd, rtol=0.02)
+        assert np.abs(one - GIVEN.sigma0_db[channel]).max() > 1.0  # there is something to learn
+    terms = [json.loads((out / "block_term.json").read_text()) for out in outs]
+    assert terms[1]["places"] == terms[0]["places"]
+    for channel, weights in terms[0]["weights"].items():
+        np.testing.assert_allclose(terms[1]["weights"][channel], weights, atol=0.05)
 
 
 @needs_torch

@@ -32,7 +32,8 @@ def write_learn_report(scene_path: Path, out: Path, found: Learned | LearnedCurv
         ["warpsar", "learn", str(scene_path), "-o", str(out), "--device", problem.device.alias],
         problem.device,
         before=found.before,
-        title=f"What {scene_path.name} learned from its images",
+        identified=found.identified,
+        title=f"What {scene_path.name} learned from its images{' and curves' if found.after.curves else ''}",
         beside="scene.toml (the learned scene), learn.json (all numbers), history.csv and figures",
     )
     console.say_written(out, "report.html")

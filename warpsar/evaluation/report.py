@@ -32,6 +32,7 @@ import numpy as np
 
 from warpsar.evaluation.meshview import MeshView
 from warpsar.evaluation.report_parts import both_sides, shown_as, shown_interval
+from warpsar.learning.curves import curves_beside
 from warpsar.learning.identify import Identified, identify
 from warpsar.learning.problem import FitProblem
 from warpsar.models import registry
@@ -52,19 +53,25 @@ def write_report(
     before: Evaluation | None = None,
     told: Sequence[PredictedImage] = (),
     laid: Sequence[BesideMean] = (),
+    identified: Identified | None = None,
     title: str = "",
     beside: str = "evaluate.json (all numbers), residual images as EXR and PNG, learned.ply",
 ) -> None:
     """`by_factor` and `expected` are `profiles` and `expected_db` of the images. `content` is that of evaluate.json or
     learn.json, `command` the words that made it. `before` is another model of the same images. `told`: test views
-    beside predictions of them, and `laid`, beside the mean of train views on the ground. `title` takes the place of
-    the verdict, which follows it then. `beside` names the other files."""
+    beside predictions of them, and `laid`, beside the mean of train views on the ground. `identified`: what a fit said
+    of the parameters, where there was one; else it is found here. `title` takes the place of the verdict, which follows
+    it then. `beside` names the other files."""
     stage = Stage.of(scene, device)
-    identified, words = identified_words(scene, stage, found.rays_per_m2)
+    if identified is None:
+        identified, words = identified_words(scene, stage, found.rays_per_m2, path.parent / "cache")
+    else:
+        words = _undetermined(identified, scene)
     verdict = verdict_sentence(Path(scene.path or "the scene").name, found)
     lead = (
-        f"{' '.join(command[:2])} {content['version']}; {len(found.images)} images of {scene.grid.shape[0]} x "
-        f"{scene.grid.shape[1]} pixels, {content['rays_per_pixel']:.3g} rays per pixel, on {content['device']}"
+        f"{' '.join(command[:2])} {content['version']}; {_curves_and(found)}{len(found.images)} images of "
+        f"{scene.grid.shape[0]} x {scene.grid.shape[1]} pixels, {content['rays_per_pixel']:.3g} rays per pixel, on "
+        f"{content['device']}"
     )
     sections = [
         *([report.paragraph(verdict)] if title else []),
@@ -73,7 +80,7 @@ def write_report(
         *([prediction_section(told)] if told else []),
         *([means_section(laid)] if laid else []),
         images_section(scene, stage, found, before),
-        *([curves_section(found.curves, found.curve_verdicts)] if found.curves else []),
+        *_curves_sections(found, before),
         _residuals_section(by_factor, expected),
         parameters_section(scene, stage, identified),
         *tables_section(content),
@@ -86,6 +93,18 @@ def write_report(
         ),
     ]
     report.write(path, report.page(title or verdict, lead, *sections))
+
+
+def _curves_and(found: Evaluation) -> str:
+    """ "2 curves and ", where there are curves."""
+    count = len(found.curves)
+    return f"{count} curve{'s' if count > 1 else ''} and " if count else ""
+
+
+def _curves_sections(found: Evaluation, before: Evaluation | None) -> list[str]:
+    """The curves that stand beside the images."""
+    first = [] if before is None else before.curves
+    return [curves_section(found.curves, found.curve_verdicts, first)] if found.curves else []
 
 
 def _residuals_section(by_factor: dict[str, FactorProfile], expected: dict[str, float]) -> str:
@@ -193,28 +212,39 @@ def _deviance_figure(history: list[dict[str, float]]) -> Figure:
 INCIDENCE_DEG = 55.0  # of the two looks at the mesh
 
 
-def identified_words(scene: Scene, stage: Stage, rays_per_m2: float) -> tuple[Identified | None, list[str]]:
-    """What the train views can say of the parameters, and the words for it."""
+def identified_words(
+    scene: Scene, stage: Stage, rays_per_m2: float, cache: Path | None = None
+) -> tuple[Identified | None, list[str]]:
+    """What the train views, and train curves beside them, can say of the parameters, and the words for it; `cache` as
+    in `evaluated`."""
     nothing = [report.paragraph("Nothing is to be learned here, or there is no train view to learn from.")]
     learns = any(block.learn for block in stage.surface.blocks) or bool(scene.effects)
     if not learns or not any(v.role == "train" and v.images for v in scene.views):
         return None, nothing
     if any(block.learn and block.size > 1 for block in stage.surface.blocks):
         return None, field_words(Path(scene.path).parent if scene.path else None)
+    device = stage.target.device
     try:
-        problem = FitProblem(scene, stage.target.device, rays=Rays(stage, rays_per_m2, scene.sampling.seed))
+        beside = curves_beside(scene, cache, device.alias)
+        problem = FitProblem(scene, device, rays=Rays(stage, rays_per_m2, scene.sampling.seed), beside=beside)
     except InputError as error:  # a value at a dead point (eps_r = 1) can be simulated, but not differentiated
         return None, [report.paragraph(f"Not known: {error}")]
     if not problem.x0.size:  # effects alone, and all that they state is held
         return None, nothing
     identified = identify(problem, problem.x0)
+    return identified, _undetermined(identified, scene)
+
+
+def _undetermined(identified: Identified, scene: Scene) -> list[str]:
+    """The words for what the data do not determine."""
     if not identified.undetermined:
-        return identified, [report.paragraph("Every value that is learned is determined by itself.")]
+        return [report.paragraph("Every value that is learned is determined by itself.")]
+    curves = ", and of the noise of the train curves," if any(one.role == "train" for one in scene.curves) else ""
     said = (
-        "From the Fisher information of the train views' speckle at these parameters: relative standard deviations, "
-        "and the products (*) and ratios (/) that the data determine where single values are not."
+        f"From the Fisher information of the train views' speckle{curves} at these parameters: relative standard "
+        "deviations, and the products (*) and ratios (/) that the data determine where single values are not."
     )
-    return identified, [report.bullets(identified.undetermined), report.paragraph(said, quiet=True)]
+    return [report.bullets(identified.undetermined), report.paragraph(said, quiet=True)]
 
 
 def field_words(folder: Path | None) -> list[str]:

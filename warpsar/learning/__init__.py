@@ -8,8 +8,9 @@ problem: views and images as one function of x. optimise, adam: one step of a fi
 gradcheck: the gradient against differences. descent: a fit from first to last iteration. learn: the whole fit.
 identify: intervals of a few parameters. fields: intervals of maps.
 geometry: bodies, angles and spacings as numbers. pose_pixels: the pixels that tell them. pose: surface,
-effects and geometry as one problem, and its descent. pose_sharing: objects that share a render. pose_search: from
-metres away to the likeliest pose. glints: bright points beside a body's shape. learned_objects: poses in `learn`.
+effects and geometry as one problem, and its descent. field_levels: fields that move as a whole meanwhile.
+pose_sharing: objects that share a render. pose_search: from metres away to the likeliest pose. glints: bright points
+beside a body's shape. learned_objects: poses in `learn`.
 object_figures: objects before and after. term: the learned term of a material's sigma0, from images.
 table: its table of sigma0, from images, with a figure. device_values: what both are fitted
 by. metrics: how well the images of a fit agree. trust: do the intervals hold, and what did a fit make worse?

@@ -110,7 +110,7 @@ def identify(problem: FitProblem, x: np.ndarray, columns: Sequence[int] | None =
     modelled = problem.modelled(x)
     moved = list(range(x.size)) if columns is None else list(columns)
     information, products = information_of(problem, modelled, problem.jacobian(x, columns), len(moved))
-    known = problem.prior.information(x)[np.ix_(moved, moved)]  # as of one more measurement, whose error is its own
+    known = problem.prior.information(x, columns)  # as of one more measurement, whose error is its own
     labels = [problem.labels[k] for k in moved]
     return of_information(labels, information + known, products + known, problem.zero_sum_means[:, moved])
 

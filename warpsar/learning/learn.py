@@ -123,7 +123,7 @@ def learn(
     kept = Checkpoint(folder, resume)
 
     def prepared(one: Scene) -> FitProblem:
-        problem, _ = prepare(one, where, options)
+        problem, _ = prepare(one, where, options, shared=True)
         refuse_options(problem, options)  # before a term is begun
         return problem
 

@@ -15,7 +15,6 @@ from warpsar.learning.identify import Identified
 from warpsar.learning.pose_search import FoundPoses, find_poses
 from warpsar.runtime import console
 from warpsar.scene.scene import Scene
-from warpsar.surface.surface import Surface
 
 
 @dataclass(frozen=True)
@@ -52,17 +51,15 @@ def learned_objects(
 ) -> LearnedObjects | None:
     """Fit what is to be learned of objects, views and image; None where there is nothing.
 
-    Surfaces, effects and `values`, tables and learned terms, are fitted along, unless surfaces are fields. Raises
-    InputError as `find_poses` does.
+    Surfaces, effects and `values`, tables and learned terms, are fitted along. Raises InputError as `find_poses` does.
     """
     if next(freed(scene), None) is None:
         return None
-    fields = any(block.learn and block.size > 1 for block in Surface.of(scene).blocks)
-    found = find_poses(scene, device, loss=loss, held=fields, values=values)
+    found = find_poses(scene, device, loss=loss, smooth=True, values=values)
     if any(one.glint for one in scene.objects):
         with_points = with_glints(found.scene, device, loss)
         console.say(f"glints: {len(with_points.objects) - len(scene.objects)} of {len(scene.objects)} bodies")
-        found = find_poses(with_points, device, loss=loss, held=fields, search=False, values=found.values)
+        found = find_poses(with_points, device, loss=loss, search=False, smooth=True, values=found.values)
     console.say(f"geometry: log-likelihood up by {found.gain:.4g}")
     return LearnedObjects(found.scene, found)
 

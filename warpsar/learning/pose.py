@@ -3,6 +3,9 @@
 A derivative to a pose needs two renders of each view, and nothing of what a fit records beside them. So only the hits
 are traced anew, and only where a body can change the image. The power before the image stage is enough: a body changes
 it near by alone, whatever sidelobes a point has.
+
+Fields move along where they are asked to be `smooth`. Their columns are sparse, and those of all else, poses included,
+stand beside them in one normal matrix (`sparse_quadratic.py`).
 """
 
 from __future__ import annotations
@@ -10,20 +13,32 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 import warp as wp
+from scipy.sparse import csr_array, hstack
 
 from warpsar.compare.observation import Observation
 from warpsar.effects.base.effect import DeclaredEffect
 from warpsar.effects.registry import declared, get
 from warpsar.learning.device_values import DeviceValues
+from warpsar.learning.field_levels import FieldLevels
 from warpsar.learning.geometry import Geometry
 from warpsar.learning.identify import Identified, of_information, score_products
 from warpsar.learning.pose_sharing import Box, boxes, columns_of, faces_about, shared
 from warpsar.learning.prior import Known, Prior
 from warpsar.learning.problem import FitProblem
+from warpsar.learning.roughness import FieldPrior, Roughness
+from warpsar.learning.sparse_quadratic import (
+    FAINT,
+    SparseQuadratic,
+    SparseStep,
+    curvature,
+    node_numbers,
+    solved,
+    whole_jacobian,
+)
 from warpsar.learning.view import FitView
 from warpsar.render.render import ViewRender
 from warpsar.render.tangents import through_image
@@ -33,7 +48,7 @@ from warpsar.runtime.matmul import gram_by_tiles, transposed_times
 from warpsar.scene.scene import Scene
 from warpsar.simulation.exact_rays import ExactRays
 from warpsar.simulation.rays import effects_grid
-from warpsar.speckle.likelihood import residual_sd
+from warpsar.speckle.likelihood import Curvature, residual_sd
 from warpsar.speckle.residual import residual_autocovariance
 from warpsar.surface.stage import Stage
 from warpsar.trace.target import Target
@@ -50,6 +65,8 @@ STANDS_M = 1e-2  # standard deviation of a foot's height about the ground that i
 DAMPED = 1e-3  # damping of a first step, and least one after a step that gained nothing
 FEW_RAYS = 0.25  # of the scene's: for paths over several surfaces where images are only screened
 FLAT = 2e-3  # gain in log-likelihood that counts as none
+SMOOTH_SD = 0.3  # of the difference of a smooth field's neighbours, in log coordinates, before any image
+ACCURATE = 1e-6  # of a right side, that conjugate gradients leave where intervals come from it
 
 
 def without_paths(scene: Scene) -> Scene:
@@ -125,13 +142,16 @@ class PosedProblem:
         bound: float = 0.0,
         forward: bool = False,
         rough: bool = False,
+        smooth: bool = False,
         values: DeviceValues | None = None,
     ) -> None:
-        """`held`: nothing moves but the poses. `level` [beta0]: how much of the floor was added to the measurement.
-        `bound` is that of the loss, as in `FitProblem`. `forward`: changes by poses are forward differences, of half as
-        many images, for a search that something finer follows. `rough`: these are of single bounces alone, which is
-        enough to tell which pose is worth a fit. Paths over several surfaces would be traced for each. Those of the
-        scene as it stands take `FEW_RAYS` of its rays: blurred images average over many pixels.
+        """`held`: nothing moves but the poses. `smooth`: neighbouring nodes of fields are expected to differ by
+        `SMOOTH_SD`, and sparse columns take fields of any size. Where differences are forward ones, or hits are not at
+        hand, each field moves as a whole (`FieldLevels`). `level` [beta0]: how much of the floor was added to the
+        measurement. `bound` is that of the loss, as in `FitProblem`. `forward`: changes by poses are forward
+        differences, of half as many images, for a search that something finer follows. `rough`: these are of single
+        bounces alone, which is enough to tell which pose is worth a fit. Paths over several surfaces would be traced
+        for each. Those of the scene as it stands take `FEW_RAYS` of its rays: blurred images average over many pixels.
 
         `standing`: labels of objects whose foot stays at its height, known to `STANDS_M`. Their height and that of the
         foot would trade otherwise: a body sunk into the ground looks like a lower one.
@@ -143,21 +163,33 @@ class PosedProblem:
         self._changes: tuple[np.ndarray, list[np.ndarray]] | None = None  # x, and d(mu) / dp there of each observation
         self.count = len(self.geometry.coordinates)
         start = self.standing(np.zeros(self.count))
-        self.size = 0 if held else start.x0.size
+        fields = smooth and not held and not start.uniform
+        self.levels = FieldLevels.of(start) if fields else None
+        by_level = fields and (self.forward or not start.keeps_hits)
+        own, ends, labels = start.x0, start.bounds, start.labels
+        if self.levels is not None and by_level:
+            own, ends, labels = self.levels.start, self.levels.ends, self.levels.labels
+        self.size = 0 if held else own.size
         self._own = start.x0.copy()
-        self.x0 = np.concatenate([start.x0[: self.size], np.zeros(self.count)])
-        low, high = (
-            np.concatenate([a[: self.size], b]) for a, b in zip(start.bounds, self.geometry.bounds, strict=True)
-        )
+        self.x0 = np.concatenate([own[: self.size], np.zeros(self.count)])
+        low, high = (np.concatenate([a[: self.size], b]) for a, b in zip(ends, self.geometry.bounds, strict=True))
         self.bounds = low, high
-        self.labels = [*start.labels[: self.size], *self.geometry.labels]
+        self.labels = [*labels[: self.size], *self.geometry.labels]
         self.prior = Prior.of(None if held else start, self.geometry)
+        if self.levels is not None and by_level:
+            self.prior = self.levels.prior(self.prior, self.count)
         self.stood = [
             k
             for k, c in enumerate(self.geometry.coordinates, start=self.size)
             if (c.parameter.key, c.index) == ("position_m", 2) and c.body in standing
         ]
         self._hold_the_stood()
+        self.nodes: np.ndarray | None = None
+        """Of each element of x the number of its node, 0 where it has none; None without smooth fields that move."""
+        if fields and not by_level:
+            self.nodes = np.concatenate([node_numbers(start), np.zeros(self.count, int)])
+            roughness = Roughness.of(start, 1.0 / SMOOTH_SD**2)
+            self.prior = FieldPrior(self.prior.known, self.x0.size, roughness, self.prior.standard)
         self.zero_sum_means = np.zeros((0, self.x0.size))
 
     def _hold_the_stood(self) -> None:
@@ -199,7 +231,16 @@ class PosedProblem:
     def split(self, x: np.ndarray) -> tuple[FitProblem, np.ndarray]:
         """The problem at x's poses, and the rest of x as that problem has it."""
         rest = self._own if self.size == 0 else x[: self.size]
+        if self.levels is not None and self.nodes is None:
+            rest = self.levels.x(rest)
         return self.standing(x[self.size :]), rest
+
+    def start_from(self, known: Mapping[str, float]) -> np.ndarray:
+        """The start, with what is known of it by label."""
+        x = np.array([known.get(label, value) for label, value in zip(self.labels, self.x0, strict=True)])
+        if self.levels is not None and self.nodes is not None:
+            x[: self.size] = self.levels.risen(known)
+        return x
 
     def modelled(self, x: np.ndarray) -> list[np.ndarray]:
         """As `FitProblem.modelled`."""
@@ -228,19 +269,44 @@ class PosedProblem:
         """As `jacobian`, but the tangent of an unknown gain stays in the columns of poses: they are 0 where a body
         changes nothing."""
         problem, rest = self.split(x)
-        own = problem.jacobian(rest) if self.size else None
+        if self.levels is not None:
+            own: list[np.ndarray] | None = self.levels.jacobian(problem, x[: self.size])
+        else:
+            own = problem.jacobian(rest) if self.size else None
         modelled = problem.modelled(rest)
-        if not (self.is_made_at(x) or (near and self._is_near(x))):
-            self._changes = x.copy(), self._changed(problem, rest, x[self.size :])
-        assert self._changes is not None
+        changes = self._changes_at(problem, rest, x, near=near)
         found = []
-        for k, (change, seen, mu) in enumerate(zip(self._changes[1], problem.observations, modelled, strict=True)):
+        for k, (change, seen, mu) in enumerate(zip(changes, problem.observations, modelled, strict=True)):
             one = np.empty((mu.size, x.size))
             if own is not None:
                 one[:, : self.size] = own[k]
             np.multiply(np.where(mu > seen.darkest, 1.0 / mu, 0.0)[:, None], change, out=one[:, self.size :])
             found.append(one)
         return found
+
+    def _changes_at(
+        self, problem: FitProblem, rest: np.ndarray, x: np.ndarray, *, near: bool = False
+    ) -> list[np.ndarray]:
+        """d(mu) / dp of every observation, shape (pixels, len(p)); `near` as in `jacobian`."""
+        if not (self.is_made_at(x) or (near and self._is_near(x))):
+            self._changes = x.copy(), self._changed(problem, rest, x[self.size :])
+        assert self._changes is not None
+        return self._changes[1]
+
+    def tangent(self, x: np.ndarray, *, near: bool = False) -> csr_array:
+        """`jacobian` of all observations' pixels, one after the other, beside smooth fields, shape (n, len(x)). Gains
+        are projected out of all but the fields' columns (`whole_jacobian`)."""
+        problem, rest = self.split(x)
+        surface = whole_jacobian(problem, rest)
+        modelled = problem.modelled(rest)
+        weights = [c.weight for c in problem.curvatures(modelled)]
+        columns = []
+        for change, seen, mu, w in zip(
+            self._changes_at(problem, rest, x, near=near), problem.observations, modelled, weights, strict=True
+        ):
+            one = np.where(mu > seen.darkest, 1.0 / mu, 0.0)[:, None] * change
+            columns.append(one if self.scene.grid.calibrated else one - np.average(one, axis=0, weights=w))
+        return csr_array(hstack([surface, csr_array(np.concatenate(columns))]))
 
     def begin_with(self, other: PosedProblem) -> None:
         """Take the changes by poses at the start from a problem of the same scene that has these views and others."""
@@ -339,7 +405,91 @@ class PosedProblem:
         jacobians = self.jacobian(x)
         problem, rest = self.split(x)
         modelled = problem.modelled(rest)
+        known = self.prior.information(x)
+        return self._identified(self.labels, problem, modelled, problem.curvatures(modelled), jacobians, known)
+
+    def of_numbers(self, x: np.ndarray) -> tuple[PosedNumbers, np.ndarray, Identified]:
+        """What is known of the numbers of x, which are all but the nodes of smooth fields: these, their part of x, and
+        what the images tell of them where fields move along with them."""
+        kept = np.arange(x.size) if self.nodes is None else np.flatnonzero(self.nodes == 0)
+        place = {int(k): number for number, k in enumerate(kept)}
+        standard = self.prior.standard
+        first = int(np.searchsorted(kept, standard.start))
+        numbers = PosedNumbers(
+            self.geometry,
+            kept.size - self.count,
+            [self.labels[k] for k in kept],
+            [place[k] for k in self.stood],
+            Prior(
+                [replace(one, at=place[one.at]) for one in self.prior.known],
+                kept.size,
+                slice(first, first + standard.stop - standard.start),
+            ),
+            (self.bounds[0][kept], self.bounds[1][kept]),
+            self.zero_sum_means[:, kept],
+        )
+        return numbers, x[kept], self.identified(x) if self.nodes is None else self._beside_fields(x, kept)
+
+    def _beside_fields(self, x: np.ndarray, kept: np.ndarray) -> Identified:
+        """`identified` of the elements `kept`, whatever the fields are.
+
+        Each of their columns loses what fields can imitate: J_k - J_f A with A = H_ff^-1 H_fk. The information that is
+        left is Schur's complement of the fields' curvature H_ff.
+        """
+        problem, rest = self.split(x)
+        tangent = self.tangent(x)
+        modelled = problem.modelled(rest)
         curvatures = problem.curvatures(modelled)
+        hessian = self._curvature(tangent, curvatures, x)
+        diagonal = hessian.diagonal()
+        assert self.nodes is not None
+        nodes = self.nodes
+        fields = np.flatnonzero((nodes > 0) & (diagonal > FAINT * np.median(diagonal)))
+        own, mixed = csr_array(hessian[fields][:, fields]), hessian[fields][:, kept].toarray()
+        along = np.stack([solved(own, column, nodes[fields], ACCURATE) for column in mixed.T], axis=1)
+        left = tangent[:, kept].toarray() - tangent[:, fields] @ along
+        jacobians = np.split(left, np.cumsum([c.weight.size for c in curvatures])[:-1])
+        if not self.scene.grid.calibrated:
+            jacobians = [
+                j - np.average(j, axis=0, weights=c.weight) for j, c in zip(jacobians, curvatures, strict=True)
+            ]
+        assert isinstance(self.prior, FieldPrior)
+        prior = self.prior.sparse_information(x)
+        known = prior[kept][:, kept].toarray() + along.T @ (prior[fields][:, fields] @ along)
+        labels = [self.labels[k] for k in kept]
+        return self._identified(labels, problem, modelled, curvatures, jacobians, known)
+
+    def _curvature(self, tangent: csr_array, curvatures: Sequence[Curvature], x: np.ndarray) -> csr_array:
+        weights = [c.weight for c in curvatures]
+        return curvature(tangent, weights, self.prior, x, calibrated=self.scene.grid.calibrated)
+
+    def quadratic(self, x: np.ndarray, loss: float, *, near: bool = False) -> DenseQuadratic | SparseQuadratic:
+        """The loss with its priors about x, where it is `loss`; `near` as in `jacobian`. Beside smooth fields the
+        gradient to all but poses comes from the adjoint."""
+        if self.nodes is None:
+            return DenseQuadratic(x, loss, *_quadratic(self, x, near=near), self.bounds)
+        problem, rest = self.split(x)
+        _, slope = problem.gradient(rest)
+        slope = slope - problem.prior.gradient(rest)
+        tangent = self.tangent(x, near=near)
+        curvatures = problem.curvatures(problem.modelled(rest))
+        push = np.concatenate([c.weight * c.residual for c in curvatures])
+        gradient = self.prior.gradient(x)
+        gradient[: self.size] += slope
+        gradient[self.size :] -= tangent[:, self.size :].T @ push
+        hessian = self._curvature(tangent, curvatures, x)
+        return SparseQuadratic.of(x, loss, gradient, hessian, self.nodes, self.bounds)
+
+    def _identified(
+        self,
+        labels: list[str],
+        problem: FitProblem,
+        modelled: Sequence[np.ndarray],
+        curvatures: Sequence[Curvature],
+        jacobians: Sequence[np.ndarray],
+        known: np.ndarray,
+    ) -> Identified:
+        """What images with these columns tell, beside what is `known`, shape (p, p), as of one more measurement."""
         pairs, spreads = [], []
         for seen, c, mu in zip(problem.observations, curvatures, modelled, strict=True):
             share = np.clip(1.0 - self.level / mu, 0.0, 1.0)
@@ -350,12 +500,26 @@ class PosedProblem:
             spreads.append(sd[:, None])
             pairs.append((replace(seen, interior=inside), c.residual[lit] / sd[lit]))
         autocovariance = residual_autocovariance(pairs)
-        information = products = self.prior.information(x)
+        information = products = known
         for seen, j, c, sd in zip(problem.observations, jacobians, curvatures, spreads, strict=True):
             weighted = c.weight[:, None] * j
             information = information + transposed_times(j, weighted)
             products = products + score_products(sd * weighted, autocovariance, seen)
-        return of_information(self.labels, information, products)
+        return of_information(labels, information, products)
+
+
+@dataclass
+class PosedNumbers:
+    """The numbers of a posed problem's x, without the nodes of fields: those of surfaces and effects (`size`), and then
+    the geometry's coordinates. All as `PosedProblem` has it."""
+
+    geometry: Geometry
+    size: int
+    labels: list[str]
+    stood: list[int]
+    prior: Prior
+    bounds: tuple[np.ndarray, np.ndarray]
+    zero_sum_means: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -382,9 +546,9 @@ def descend(
     near = True
     for step_number in range(most):
         check()
-        gradient, hessian = _quadratic(problem, x, near=near)
+        here = problem.quadratic(x, loss, near=near)
         exact = ends_near or not problem.count or problem.is_made_at(x)
-        trial = _lower(problem, x, loss, gradient, hessian, damping, flat)
+        trial = _lower(problem, here, damping, flat)
         near = trial is not None
         if trial is not None:
             gained = loss - trial[1]
@@ -395,29 +559,45 @@ def descend(
     return Descended(x, loss, most)
 
 
+@dataclass(frozen=True)
+class DenseQuadratic:
+    """The loss about x as a quadratic: `gradient` and `hessian`, shapes (p,) and (p, p)."""
+
+    x: np.ndarray
+    loss: float
+    gradient: np.ndarray
+    hessian: np.ndarray
+    bounds: tuple[np.ndarray, np.ndarray]
+
+    @cached_property
+    def free(self) -> np.ndarray:
+        """The elements that may move, shape (p,)."""
+        low, high = self.bounds
+        outward = (self.x <= low) & (self.gradient > 0) | (self.x >= high) & (self.gradient < 0)
+        return np.asarray(~outward & (np.diag(self.hessian) > 0))
+
+    def step(self, damping: float) -> SparseStep:
+        """The step at a damping, which is relative to the diagonal of the curvature."""
+        gradient, hessian = self.gradient, self.hessian
+        step = _step(gradient, hessian, self.free, damping)
+        return SparseStep(step, -float(gradient @ step + 0.5 * step @ hessian @ step))
+
+
 def _lower(
-    problem: PosedProblem,
-    x: np.ndarray,
-    loss: float,
-    gradient: np.ndarray,
-    hessian: np.ndarray,
-    damping: float,
-    flat: float,
+    problem: PosedProblem, here: DenseQuadratic | SparseQuadratic, damping: float, flat: float
 ) -> tuple[np.ndarray, float, float] | None:
-    """An x of a lower loss, that loss, and the damping to go on with; None where a gain of less than `flat` is
-    promised, or no step gains."""
+    """An x of a lower loss than `here`, that loss, and the damping to go on with; None where a gain of less than `flat`
+    is promised, or no step gains."""
     low, high = problem.bounds
-    free = ~((x <= low) & (gradient > 0) | (x >= high) & (gradient < 0)) & (np.diag(hessian) > 0)
-    if not free.any():
+    if not here.free.any():
         return None
     for _ in range(8):
-        step = _step(gradient, hessian, free, damping)
-        promised = -float(gradient @ step + 0.5 * step @ hessian @ step)
-        if promised < flat:
+        planned = here.step(damping)
+        if planned.promised < flat:
             return None
-        trial = np.clip(x + _shortened(problem, step), low, high)
+        trial = np.clip(here.x + _shortened(problem, planned.step), low, high)
         value = problem.value(trial)
-        if value < loss:
+        if value < here.loss:
             return trial, value, max(damping / 10.0, 1e-9)
         damping = max(8.0 * damping, DAMPED)
     return None
@@ -493,13 +673,15 @@ def _step(gradient: np.ndarray, hessian: np.ndarray, free: np.ndarray, damping: 
 
 def _shortened(problem: PosedProblem, step: np.ndarray) -> np.ndarray:
     """Each part of the step within its own bound: neither a surface in its valley nor another body must hold a body
-    back."""
+    back, and no node of a smooth field another one."""
     found = step.copy()
+    fields = np.zeros(step.size, bool) if problem.nodes is None else problem.nodes > 0
+    found[fields] = np.clip(step[fields], -LARGEST_STEP, LARGEST_STEP)
     parts: dict[object, list[int]] = {}
     for k, one in enumerate(problem.geometry.coordinates, start=problem.size):
         parts.setdefault(one.body, []).append(k)
     moves = [(each, LARGEST_MOVE_M) for each in parts.values()]
-    for part, most in [(list(range(problem.size)), LARGEST_STEP), *moves]:
+    for part, most in [(np.flatnonzero(~fields[: problem.size]).tolist(), LARGEST_STEP), *moves]:
         largest = float(np.abs(step[part]).max(initial=0.0))
         found[part] *= min(1.0, most / largest) if largest else 1.0
     return found

@@ -16,7 +16,7 @@ from warpsar.errors import InputError
 from warpsar.learning.device_values import DeviceValues
 from warpsar.learning.geometry import freed, still
 from warpsar.learning.identify import Identified
-from warpsar.learning.pose import Descended, PosedProblem, descend
+from warpsar.learning.pose import Descended, PosedNumbers, PosedProblem, descend
 from warpsar.learning.pose_pixels import compared
 from warpsar.learning.prior import Known, Prior
 from warpsar.learning.problem import FitProblem
@@ -85,24 +85,25 @@ class PoseSearch:
     gain: float
     known: Mapping[str, float]
     values: DeviceValues
+    smooth: bool = False
 
     def finish(self) -> FoundPoses:
         """The likeliest geometry of the sharp images, from where the search ended."""
         problem, end = self.descended(0.0)
-        identified = problem.identified(end.x)
+        of_x, x, identified = problem.of_numbers(end.x)
         found = _scene_at(problem, end.x, self.scene)
         tolerated = set(problem.geometry.labels) - {problem.labels[k] for k in problem.stood}
         return FoundPoses(
             found,
             end.loss,
             problem.count - len(problem.stood),
-            summary(problem, end.x, identified),
-            numbers(problem, end.x, identified),
+            summary(of_x, x, identified),
+            numbers(of_x, x, identified),
             identified,
-            [*problem.geometry.held, *_words(problem, identified)],
+            [*problem.geometry.held, *_words(of_x, identified)],
             self._values_at(problem, end.x),
             self._loss_without,
-            [pull for pull in pulls(problem, end.x, identified) if pull.label in tolerated],
+            [pull for pull in pulls(of_x, x, identified) if pull.label in tolerated],
         )
 
     def _values_at(self, problem: PosedProblem, x: np.ndarray) -> DeviceValues:
@@ -125,10 +126,10 @@ class PoseSearch:
             level=both.level,
             standing=self.standing,
             forward=blur_m > 0.0,
+            smooth=self.smooth,
             values=self.values,
         )
-        x0 = zip(problem.labels, problem.x0, strict=True)
-        start = np.array([self.known.get(label, value) for label, value in x0])
+        start = problem.start_from(self.known)
         if not blur_m:
             return problem, descend(problem, start)
         return problem, descend(problem, start, most=SEARCH_STEPS, flat=SEARCH_FLAT, near=True)
@@ -149,6 +150,7 @@ def find_poses(
     search: bool = True,
     held: bool = False,
     standing: Collection[str] = (),
+    smooth: bool = False,
     values: DeviceValues | None = None,
 ) -> FoundPoses:
     """Fit what `learn` of the scene's objects, views and image frees, with surface and effects unless they are `held`.
@@ -156,8 +158,9 @@ def find_poses(
     `views`: names of the views to use; by default those with role train. `observations`, by view name: frozen pixels
     that other models are compared on; by default those that the scene as given lights. `search`: begin with blurred
     images, which find an object from 3 m, 20 degrees and 20 % away. `standing`: labels of objects whose foot stays at
-    its height, where their own is learned. `values`: tables and learned terms to fit along. Raises InputError where
-    nothing of the geometry is to be learned, and for views without images.
+    its height, where their own is learned. `smooth`: fields move along, as in `PosedProblem`. `values`: tables and
+    learned terms to fit along. Raises InputError where nothing of the geometry is to be learned, and for views without
+    images.
     """
     begun = search_poses(
         scene,
@@ -168,6 +171,7 @@ def find_poses(
         blurs_m=SEARCH_BLUR_M if search else (),
         held=held,
         standing=standing,
+        smooth=smooth,
         values=values,
     )
     return begun.finish()
@@ -183,6 +187,7 @@ def search_poses(
     blurs_m: Sequence[float] = SEARCH_BLUR_M,
     held: bool = False,
     standing: Collection[str] = (),
+    smooth: bool = False,
     values: DeviceValues | None = None,
 ) -> PoseSearch:
     """The search on blurred images that `find_poses` begins with, and goes on from (`PoseSearch.finish`)."""
@@ -191,7 +196,7 @@ def search_poses(
             f"{scene.name}: found no object, view, [radar] or [image] with `learn`; at least one must state it"
         )
     pixels, gains = lit_pixels(scene, device, loss, views, observations)
-    found = PoseSearch(scene, device, pixels, gains, loss, held, standing, 0.0, {}, values or DeviceValues())
+    found = PoseSearch(scene, device, pixels, gains, loss, held, standing, 0.0, {}, values or DeviceValues(), smooth)
     for blur_m in blurs_m:
         blurred, there = found.descended(blur_m)
         gain = blurred.value(blurred.x0) - there.loss if blur_m == blurs_m[-1] else 0.0
@@ -275,7 +280,7 @@ def _pinned(table: T, declared: T) -> T:
     return table.model_copy(update={"tolerance": known})
 
 
-def summary(problem: PosedProblem, x: np.ndarray, identified: Identified) -> dict[str, dict[str, Any]]:
+def summary(problem: PosedNumbers | PosedProblem, x: np.ndarray, identified: Identified) -> dict[str, dict[str, Any]]:
     """What JSON files say of every object: its values, and a standard deviation beside each that was learned."""
     found: dict[str, dict[str, Any]] = {}
     for one in problem.geometry.at(x[problem.size :]).objects:
@@ -301,7 +306,7 @@ def summary(problem: PosedProblem, x: np.ndarray, identified: Identified) -> dic
     return found
 
 
-def numbers(problem: PosedProblem, x: np.ndarray, identified: Identified) -> dict[str, dict[str, Any]]:
+def numbers(problem: PosedNumbers, x: np.ndarray, identified: Identified) -> dict[str, dict[str, Any]]:
     """What JSON files say of the views' angles and pixel spacings that were learned, and of errors that the bodies of a
     survey have in common, by dotted name."""
     sds = identified.sd[problem.size :]
@@ -350,7 +355,7 @@ def sd_key(key: str) -> str:
     return f"{stem}_sd_{unit}" if unit else f"{stem}_sd"
 
 
-def _words(problem: PosedProblem, identified: Identified) -> list[str]:
+def _words(problem: PosedNumbers, identified: Identified) -> list[str]:
     """Sentences about what the images do not tell of poses, alone or from one another."""
     size, labels = problem.size, identified.labels[problem.size :]
     information = identified.information

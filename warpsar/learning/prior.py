@@ -106,11 +106,17 @@ class Prior:
 
     def slopes(self, x: np.ndarray | DeviceX) -> np.ndarray:
         """d deviations / dx, shape (k, p)."""
+        standard = range(self.size)[self.standard]
+        found = np.concatenate([self._slopes_of_known(x), np.zeros((len(standard), self.size))])
+        found[len(self.known) + np.arange(len(standard)), standard] = 1.0
+        return found
+
+    def _slopes_of_known(self, x: np.ndarray | DeviceX) -> np.ndarray:
+        """`slopes` of the deviations of known elements, shape (known, p)."""
         found = np.zeros((len(self.known), self.size))
         for row, one in zip(found, self.known, strict=True):
             row[one.at] = float(one.slope(float(np.asarray(x)[one.at]))) / one.sd
-        found = found if self.whitening is None else self.whitening @ found
-        return np.concatenate([found, np.eye(self.size)[self.standard]])
+        return found if self.whitening is None else self.whitening @ found
 
     def value(self, x: np.ndarray | DeviceX) -> float:
         """What the prior adds to the loss: half the squared deviations."""
@@ -119,14 +125,18 @@ class Prior:
 
     def gradient(self, x: np.ndarray | DeviceX) -> np.ndarray:
         """d value / dx, shape (p,)."""
-        own = self.deviations(x) @ self.slopes(x)
+        deviations, count = self.deviations(x), len(self.known)
+        own = deviations[:count] @ self._slopes_of_known(x)
+        own[self.standard] += deviations[count:]
         return own if self.beside is None else own + self.beside.gradient(np.asarray(x))
 
-    def information(self, x: np.ndarray | DeviceX) -> np.ndarray:
-        """Fisher information of the prior, shape (p, p): its curvature without the bend of the coordinates."""
-        slopes = self.slopes(x)
+    def information(self, x: np.ndarray | DeviceX, columns: Sequence[int] | None = None) -> np.ndarray:
+        """Fisher information of the prior, shape (p, p): its curvature without the bend of the coordinates. `columns`:
+        the elements of x that it is asked for, by default all."""
+        of = slice(None) if columns is None else np.asarray(columns, int)
+        slopes = self.slopes(x)[:, of]
         own = slopes.T @ slopes
-        return own if self.beside is None else own + self.beside.information(np.asarray(x))
+        return own if self.beside is None else own + self.beside.information(np.asarray(x))[of][:, of]
 
     def push(self, x: np.ndarray, places: Sequence[np.ndarray], step: float) -> np.ndarray:
         """The deviations' second derivative along a line, as a force on x, shape (p,); what is `beside` is taken to be

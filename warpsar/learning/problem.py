@@ -118,7 +118,7 @@ class FitProblem(SceneCoordinates):
         if beside is not None:
             self.prior = Prior(self.prior.known, self.x0.size, self.prior.standard, beside(self))
         if roughness is not None:
-            self.prior = FieldPrior(self.prior.known, self.x0.size, roughness)
+            self.prior = FieldPrior(self.prior.known, self.x0.size, roughness, self.prior.standard)
         refuse_prior(self.prior, loss, scene.name)
         self.device, self.loss = device, loss
         self._ranks = ranks = join(device) if shared else ONE
@@ -278,6 +278,10 @@ class FitProblem(SceneCoordinates):
         order = [view.name for view in self.chosen]
         found = sorted((one for part in self._ranks.gather(mine) for one in part), key=lambda one: order.index(one[0]))
         return {f"{view} {polarization}": what for view, polarization, what in found}
+
+    def of_all_views(self, found: np.ndarray) -> np.ndarray:
+        """What the views at hand gave, shape (n,), with what the others gave: of all views, in no order."""
+        return np.concatenate(self._ranks.gather(found))
 
     @property
     def observations(self) -> list[Observation]:

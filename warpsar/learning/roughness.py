@@ -136,8 +136,8 @@ class Roughness:
 class FieldPrior(Prior):
     """The prior of an x with fields: what is `known` to a tolerance, and the fields' `roughness`."""
 
-    def __init__(self, known: Sequence[Known], size: int, roughness: Roughness) -> None:
-        super().__init__(known, size)
+    def __init__(self, known: Sequence[Known], size: int, roughness: Roughness, standard: slice = slice(0, 0)) -> None:
+        super().__init__(known, size, standard)
         self.roughness = roughness
         self.rows = roughness.rows(size)
 

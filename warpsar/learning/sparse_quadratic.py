@@ -6,6 +6,7 @@ curvature within each node (its channels together), and that of all other parame
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -14,6 +15,7 @@ import numpy as np
 from scipy.sparse import coo_array, csr_array, diags_array, hstack, vstack
 from scipy.sparse.linalg import splu
 
+from warpsar.learning.prior import Prior
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.roughness import FieldPrior
 
@@ -54,24 +56,27 @@ class SparseQuadratic:
         loss = problem.value(modelled) + problem.penalty(x)
         weights = [c.weight for c in problem.curvatures(modelled)]
         tangent = whole_jacobian(problem, x, moving)
-        root = np.sqrt(np.concatenate(weights))
-        scaled = diags_array(root) @ tangent
-        hessian = csr_array(scaled.T @ scaled)
-        if not problem.scene.grid.calibrated:  # a gain of its own is at its best in every image
-            ends = np.cumsum([0, *(w.size for w in weights)])
-            means = np.stack(
-                [w @ tangent[a:b] / np.sqrt(w.sum()) for w, a, b in zip(weights, ends, ends[1:], strict=False)]
-            )
-            hessian = csr_array(hessian - csr_array(means).T @ csr_array(means))
-        prior = problem.prior
-        assert isinstance(prior, FieldPrior)
-        hessian = csr_array(hessian + prior.sparse_information(x))
-        low, high = problem.bounds
+        hessian = curvature(tangent, weights, problem.prior, x, calibrated=problem.scene.grid.calibrated)
+        return cls.of(x, loss, gradient, hessian, node_numbers(problem), problem.bounds, moving)
+
+    @classmethod
+    def of(
+        cls,
+        x: np.ndarray,
+        loss: float,
+        gradient: np.ndarray,
+        hessian: csr_array,
+        nodes: np.ndarray,
+        bounds: tuple[np.ndarray, np.ndarray],
+        moving: np.ndarray | None = None,
+    ) -> SparseQuadratic:
+        """With the elements free that no bound holds, that something depends on, and that are `moving`."""
+        low, high = bounds
         diagonal = hessian.diagonal()
         free = ~((x <= low) & (gradient > 0) | (x >= high) & (gradient < 0)) & (diagonal > FAINT * np.median(diagonal))
         if moving is not None:
             free &= moving
-        return cls(x, loss, gradient, hessian, free, node_numbers(problem), (low, high))
+        return cls(x, loss, gradient, hessian, free, nodes, bounds)
 
     def step(self, damping: float) -> SparseStep:
         """The step at a damping, which is relative to the diagonal of the curvature."""
@@ -101,15 +106,34 @@ class SparseQuadratic:
         return np.asarray(places[int(np.argmin(losses))])
 
 
-def solved(matrix: csr_array, right: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-    """The solution of a positive definite system to `SOLVED`, by preconditioned conjugate gradients."""
+def curvature(
+    tangent: csr_array, weights: Sequence[np.ndarray], prior: Prior, x: np.ndarray, *, calibrated: bool
+) -> csr_array:
+    """The curvature (Fisher scoring) at x, shape (p, p), of observations whose pixels have these `weights`, and of a
+    prior of fields; `tangent` is d ln(mu) / dx of all their pixels, one after the other, shape (n, p). A gain of its
+    own is at its best in every image that is not `calibrated`."""
+    assert isinstance(prior, FieldPrior)
+    scaled = diags_array(np.sqrt(np.concatenate(weights))) @ tangent
+    hessian = csr_array(scaled.T @ scaled)
+    if not calibrated:
+        ends = np.cumsum([0, *(w.size for w in weights)])
+        means = np.stack(
+            [w @ tangent[a:b] / np.sqrt(w.sum()) for w, a, b in zip(weights, ends, ends[1:], strict=False)]
+        )
+        hessian = csr_array(hessian - csr_array(means).T @ csr_array(means))
+    return csr_array(hessian + prior.sparse_information(x))
+
+
+def solved(matrix: csr_array, right: np.ndarray, nodes: np.ndarray, accuracy: float = SOLVED) -> np.ndarray:
+    """The solution of a positive definite system by preconditioned conjugate gradients, which leave `accuracy` of
+    `right`."""
     entries = coo_array(matrix)
     own = nodes[entries.row] == nodes[entries.col]
     blocks = coo_array((entries.data[own], (entries.row[own], entries.col[own])), matrix.shape).tocsc()
     inverse = splu(blocks, permc_spec="NATURAL", diag_pivot_thresh=0.0)
     found, left = np.zeros(right.size), right.copy()
     way = near = inverse.solve(left)
-    energy, wanted = _times(left, near), SOLVED**2 * _times(right, right)
+    energy, wanted = _times(left, near), accuracy**2 * _times(right, right)
     for _ in range(MOST_TURNS):
         if _times(left, left) <= wanted:
             break

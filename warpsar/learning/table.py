@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +17,8 @@ import numpy as np
 from warpsar.errors import InputError
 from warpsar.io.figures import new
 from warpsar.learning.device_values import DeviceBlock
-from warpsar.learning.term import SEEN, refuse_run
+from warpsar.learning.term import SEEN, folder_of
+from warpsar.runtime import once
 from warpsar.scene.beside import file_stem
 from warpsar.scene.scene import Scene
 from warpsar.world import sigma0_table
@@ -112,8 +114,7 @@ class TableToLearn:
 def tables_to_learn(scene: Scene, folder: Path | None, loss: str) -> dict[str, TableToLearn]:
     """The tables of the materials that ask for one to be learned, by material.
 
-    Raises InputError without a folder, with several processes, with a `loss` that is no likelihood, and where a table
-    itself lies in its place.
+    Raises InputError without a folder, with a `loss` that is no likelihood, and where a table itself lies in its place.
     """
     found = {}
     channels = [c for c in sigma0_table.CHANNELS if c in {"HV" if p == "VH" else p for p in scene.radar.polarizations}]
@@ -121,7 +122,7 @@ def tables_to_learn(scene: Scene, folder: Path | None, loss: str) -> dict[str, T
         if TABLE not in material.learn or material.sigma0 is None:
             continue
         stem = file_stem(tuple(scene.materials), name, TABLE)
-        file = (refuse_run(scene, name, TABLE, folder) / f"{stem}.csv").resolve()
+        file = (folder_of(scene, name, TABLE, folder) / f"{stem}.csv").resolve()
         if file == material.sigma0.resolve():
             raise InputError(f"--out: found {file.parent}, where {stem}.csv itself would be replaced")
         found[name] = TableToLearn(sigma0_table.read(Path(material.sigma0)), file, channels)
@@ -134,9 +135,9 @@ def tables_to_learn(scene: Scene, folder: Path | None, loss: str) -> dict[str, T
 
 
 def with_tables(scene: Scene, learned: Mapping[str, LearnedTable]) -> Scene:
-    """The scene with tables that were learned, which are written."""
+    """The scene with tables that were learned, which are written, and which all processes then read."""
     for name, one in learned.items():
-        one.found.write(one.file)
+        once.find(partial(one.found.write, one.file))
         material = scene.materials[name].model_copy(update={TABLE: one.file})
         scene = replace(scene, materials=scene.materials | {name: material})
     return scene

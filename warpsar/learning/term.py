@@ -71,11 +71,20 @@ class UntrainedTerm:
         unit = np.linalg.inv(root).T * (SPREAD_DB / DB)
         return DeviceBlock(material, TERM, channels, columns, np.zeros((len(channels), len(unit))), unit)
 
+    def save(self) -> None:
+        """Write the file, which all processes then read."""
+
+        def write() -> None:
+            self.file.parent.mkdir(parents=True, exist_ok=True)
+            self.term.save(self.file)
+
+        once.find(write)
+
     def trained(self, weights: np.ndarray, **fit: Any) -> Trained:
         """The term with its weights, (channels, n), which is written; `fit` as `Trained` has it."""
-        term = replace(self.term, weights=dict(zip(self.term.weights, weights, strict=True)))
-        term.save(self.file)
-        return Trained(term, self.file, **fit)
+        own = replace(self, term=replace(self.term, weights=dict(zip(self.term.weights, weights, strict=True))))
+        own.save()
+        return Trained(own.term, self.file, **fit)
 
 
 def with_untrained_terms(
@@ -83,20 +92,18 @@ def with_untrained_terms(
 ) -> tuple[Scene, dict[str, UntrainedTerm]]:
     """The scene with a term without weights in each material whose `learn` names one, and these.
 
-    The materials' eps, h and l are held. Files go into `folder`. Raises InputError without one, with several processes,
-    and where a view's hits do not fit into memory.
+    The materials' eps, h and l are held. Files go into `folder`. Raises InputError without one, and where a view's hits
+    do not fit into memory.
     """
     wanted = [name for name, material in scene.materials.items() if TERM in material.learn]
     begun: dict[str, UntrainedTerm] = {}
     channels: list[str] = sorted({"HV" if one == "VH" else one for one in scene.radar.polarizations})
     for name in wanted:
-        folder = refuse_run(scene, name, TERM, folder)
-        folder.mkdir(parents=True, exist_ok=True)
-        file = folder / f"{file_stem(tuple(scene.materials), name, 'term')}.json"
+        file = folder_of(scene, name, TERM, folder) / f"{file_stem(tuple(scene.materials), name, 'term')}.json"
         none = {c: np.zeros(1) for c in channels}
         model, place = scene.materials[name].model, np.zeros((1, len(WIDTH)))
         begun[name] = UntrainedTerm(ScatteringTerm(model, place, np.array(WIDTH), none, SPREAD_DB, NOISE_DB), file)
-        begun[name].term.save(file)
+        begun[name].save()
         held = scene.materials[name].model_copy(update={TERM: file.resolve(), "learn": ()})
         scene = replace(scene, materials=scene.materials | {name: held})
     if not begun:
@@ -107,7 +114,7 @@ def with_untrained_terms(
         used = {c: np.ones(len(places), bool) for c in channels}
         none = {c: np.zeros(len(places)) for c in channels}
         begun[name] = replace(one, term=replace(one.term, places=places, weights=none, used=used))
-        begun[name].term.save(one.file)
+        begun[name].save()
     return scene, begun
 
 
@@ -119,7 +126,7 @@ def as_asked(final: Scene, asked: Scene, terms: Collection[str]) -> Scene:
 
 def _places(problem: FitProblem, name: str) -> np.ndarray:
     """Places of the units, (n, 4), at the middle of the material's eps, h and l, over what was seen of it."""
-    cosines, wavenumber = seen_cosines(problem, name, TERM), problem.views[-1].render.whole.shaded.geometry.wavenumber
+    cosines, wavenumber = seen_cosines(problem, name, TERM), problem.scene.wavenumber(problem.chosen[-1])
     low, high = np.percentile(cosines, SEEN)
     count = max(int(np.ceil((high - low) / WIDTH[0])), 1) + 1
     middle = (low + high) / 2 + (np.arange(count) - (count - 1) / 2) * WIDTH[0]
@@ -128,24 +135,26 @@ def _places(problem: FitProblem, name: str) -> np.ndarray:
     return np.column_stack([middle, np.tile(here, (count, 1))])
 
 
-def refuse_run(scene: Scene, name: str, key: str, folder: Path | None) -> Path:
-    """The folder for a material's new file. Raises InputError without one, and with several processes."""
-    if folder is None or once.processes() > 1:
-        why = "needs a folder for its file" if folder is None else f"found {once.processes()} processes; must be one"
-        raise InputError(f"{scene.name}: materials.{name}.learn: {key}: {why}")
+def folder_of(scene: Scene, name: str, key: str, folder: Path | None) -> Path:
+    """The folder for a material's new file. Raises InputError without one."""
+    if folder is None:
+        raise InputError(f"{scene.name}: materials.{name}.learn: {key}: needs a folder for its file")
     return folder
 
 
 def seen_cosines(problem: FitProblem, name: str, key: str) -> np.ndarray:
-    """cos theta of all hits of a material. Raises InputError where there is none, or where they are not in memory."""
-    material = problem.surface.materials.index(name)
+    """cos theta of the hits that all views have of a material, float32, in no order.
+
+    Raises InputError where there is none, or where they are not in memory.
+    """
+    if not problem.keeps_hits:
+        raise InputError(f"{problem.scene.name}: {key} is trained with all hits in memory; --max-memory is too low")
+    materials, own = problem.stage.face_material.numpy(), problem.surface.materials.index(name)
     seen = []
     for view in problem.views:
-        if not view.render.keeps_hits:
-            raise InputError(f"{problem.scene.name}: {key} is trained with all hits in memory; --max-memory is too low")
         hits = view.render.whole.shaded
-        seen.append(hits.cos_incidence.numpy()[problem.stage.face_material.numpy()[hits.face.numpy()] == material])
-    cosines = np.concatenate(seen)
+        seen.append(hits.cos_incidence.numpy()[materials[hits.face.numpy()] == own])
+    cosines = problem.of_all_views(np.concatenate([np.zeros(0, np.float32), *seen]))
     if not cosines.size:
         raise InputError(f"{problem.scene.name}: materials.{name}.learn: {key}: no train view sees the material")
     return cosines
