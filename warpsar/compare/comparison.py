@@ -221,7 +221,7 @@ def compare(
 
     `seed` overrides the scene's. `shared`: whether the processes of the run share the views. `progress`: what the bar
     is called; empty for none. Without `edges` there are metrics alone, and no judgement: `slopes` and `moves` are 0.
-    `kept`: exact areas that models of one mesh share.
+    `kept`: exact areas that models of one mesh share, and their densities.
     Raises InputError for a scene without measured images, or where image and mesh do not meet.
     """
     views = [(index, view) for index, view in enumerate(scene.views) if view.images and view.role in roles]
@@ -234,7 +234,11 @@ def compare(
     ranks = join(device) if shared else ONE
     density = scene.sampling.density_per_m2(scene.grid)
     if sampled(plain):  # exact areas alone have no noise for which more would be chosen
-        density = choose_density(plain, stage, [view for _, view in views], looks, RAY_NOISE, shared=shared).rays_per_m2
+        named = [view for _, view in views]
+        kept = kept or KeptAreas()
+        density = kept.density(
+            scene, named, lambda: choose_density(plain, stage, named, looks, RAY_NOISE, shared=shared).rays_per_m2
+        )
     grid = hit_grid(scene)
     costs = [ray_count(stage.target, geometry_of(scene, view), grid, density) * len(view.images) for _, view in views]
     mine = ranks.mine(costs)

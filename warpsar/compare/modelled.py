@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 from hashlib import sha1
 from typing import Any
@@ -56,10 +56,19 @@ class Modelled:
 
 
 class KeptAreas:
-    """Exact areas of views, which models of one mesh share whatever its surface and effects; the oldest go first."""
+    """Exact areas of views, which models of one mesh share whatever its surface and effects; the oldest go first. And
+    the density of rays that was chosen for views beside effects, whatever numbers these have."""
 
     def __init__(self) -> None:
         self._kept: dict[tuple[Any, ...], Hits] = {}
+        self._densities: dict[Hashable, float] = {}
+
+    def density(self, scene: Scene, views: Sequence[View], choose: Callable[[], float]) -> float:
+        """Rays per square metre for these views of the scene: what `choose` finds, or has found for its effects."""
+        key = tuple(view.name for view in views), tuple(sorted(scene.effects)), scene.grid.shape
+        if key not in self._densities:
+            self._densities[key] = choose()
+        return self._densities[key]
 
     def hits(self, scene: Scene, stage: Stage, view: View, grid: BinGrid, seed: int, rays_per_m2: float) -> Hits:
         """As `exact_hits`."""

@@ -63,8 +63,10 @@ MOST_STEPS = 40
 LARGEST_MOVE_M, LARGEST_STEP = 1.0, 1.0  # in one step: of a pose, and of a log coordinate
 STANDS_M = 1e-2  # standard deviation of a foot's height about the ground that it stands on
 DAMPED = 1e-3  # damping of a first step, and least one after a step that gained nothing
-FEW_RAYS = 0.25  # of the scene's: for paths over several surfaces where images are only screened
+FEW_RAYS = 0.125  # of the scene's: for paths over several surfaces where images are only screened
 FLAT = 2e-3  # gain in log-likelihood that counts as none
+# The same where rays follow paths over several surfaces: as bodies move, their noise makes steps of some tenths of it.
+FLAT_BY_RAYS = 0.5
 SMOOTH_SD = 0.3  # of the difference of a smooth field's neighbours, in log coordinates, before any image
 ACCURATE = 1e-6  # of a right side, that conjugate gradients leave where intervals come from it
 
@@ -85,13 +87,14 @@ def render_elsewhere(
     faces: np.ndarray | None = None,
     *,
     paths: bool = True,
+    coarse: bool = False,
 ) -> ViewRender:
     """The view with its geometry as `scene` has it; surface and effects as x of `problem` says. It has run.
 
     `columns`: from the first to before the last column of the image that is made; the others stay without hits.
     `faces`: those that are there, shape (faces,), as `exact_hits` has them; by default all.
-    `paths`: whether light that went over several surfaces is in them. The scene has the faces of the problem's own, in
-    the same order. Raises TimeUp where the time of the run is over.
+    `paths`: whether light that went over several surfaces is in them; `coarse`: with few rays. The scene has the faces
+    of the problem's own, in the same order. Raises TimeUp where the time of the run is over.
     """
     check()
     there = next(one for one in scene.views if one.name == view.view.name)
@@ -99,12 +102,19 @@ def render_elsewhere(
     placed = placed if paths else without_paths(placed)
     effects = declared(placed, there, neutral=True)
     stage = replace(problem.stage, target=Target.upload(scene.mesh, scene.reference_point_m, problem.device))
-    rays = ExactRays(stage, seed=scene.sampling.seed)
+    rays = exact_rays(scene, stage, coarse=coarse)
     hits = rays.trace(placed, there, effects, _of_the_grid(placed, effects, columns), only_faces=faces)
     render = ViewRender(stage, there, hits, scene.grid.shape, tuple(there.images), effects)
     render.set_parameters(problem.float_nodes(x))
     render.forward()
     return render
+
+
+def exact_rays(scene: Scene, stage: Stage, *, coarse: bool) -> ExactRays:
+    """Images of exact areas. Paths over several surfaces have the scene's rays; for `coarse` images `FEW_RAYS` of them:
+    blurred images average over many pixels."""
+    density = scene.sampling.density_per_m2(scene.grid) * (FEW_RAYS if coarse else 1.0)
+    return ExactRays(stage, density, scene.sampling.seed, coarse=coarse)
 
 
 def _of_the_grid(
@@ -149,9 +159,9 @@ class PosedProblem:
         `SMOOTH_SD`, and sparse columns take fields of any size. Where differences are forward ones, or hits are not at
         hand, each field moves as a whole (`FieldLevels`). `level` [beta0]: how much of the floor was added to the
         measurement. `bound` is that of the loss, as in `FitProblem`. `forward`: changes by poses are forward
-        differences, of half as many images, for a search that something finer follows. `rough`: these are of single
-        bounces alone, which is enough to tell which pose is worth a fit. Paths over several surfaces would be traced
-        for each. Those of the scene as it stands take `FEW_RAYS` of its rays: blurred images average over many pixels.
+        differences, of half as many images, and paths over several surfaces have few rays (`exact_rays`), for a search
+        on blurred images that something finer follows. `rough`: so, and the changes are of single bounces alone, which
+        is enough to tell which pose is worth a fit. Paths would be traced for each.
 
         `standing`: labels of objects whose foot stays at its height, known to `STANDS_M`. Their height and that of the
         foot would trade otherwise: a body sunk into the ground looks like a lower one.
@@ -201,6 +211,12 @@ class PosedProblem:
             known.append(Known(c.label, k, c.value(0.0), STANDS_M, "m", c.value, c.per_metre))
         self.prior = Prior(known, self.prior.size, self.prior.standard)
 
+    @property
+    def by_rays(self) -> bool:
+        """Whether rays follow paths over several surfaces as bodies move. Their changes take long, and have the noise
+        of rays, so those of a pose close by will do."""
+        return self.count > 0 and any(get(name).stage == "path" for name in self.scene.effects)
+
     def standing(self, p: np.ndarray) -> FitProblem:
         """The plain fit problem with the objects at p."""
         key = np.asarray(p, float).tobytes()
@@ -213,8 +229,7 @@ class PosedProblem:
 
     def _made(self, p: np.ndarray) -> FitProblem:
         scene = self.geometry.at(p)
-        density = scene.sampling.density_per_m2(scene.grid) * (FEW_RAYS if self.rough else 1.0)
-        rays = ExactRays(Stage.of(scene, self.device), density, scene.sampling.seed)
+        rays = exact_rays(scene, Stage.of(scene, self.device), coarse=self.forward)
         roles = ("train", "test")
         return FitProblem(
             scene,
@@ -377,7 +392,8 @@ class PosedProblem:
 
         def at(step: np.ndarray) -> ViewRender:
             stepped = self.geometry.stepped(problem.scene, p, step) if moving else self.geometry.at(p + step)
-            return render_elsewhere(problem, view, rest, stepped, band, faces, paths=not self.rough)
+            paths = not self.rough
+            return render_elsewhere(problem, view, rest, stepped, band, faces, paths=paths, coarse=self.forward)
 
         standing = at(np.zeros(p.size)) if self.forward else None
         apart = POSE_STEP_M if self.forward else 2.0 * POSE_STEP_M
@@ -402,7 +418,7 @@ class PosedProblem:
 
         A floor that was added has no speckle, so a residual's standard deviation is that of the rest alone.
         """
-        jacobians = self.jacobian(x)
+        jacobians = self.jacobian(x, near=self.by_rays)
         problem, rest = self.split(x)
         modelled = problem.modelled(rest)
         known = self.prior.information(x)
@@ -437,7 +453,7 @@ class PosedProblem:
         left is Schur's complement of the fields' curvature H_ff.
         """
         problem, rest = self.split(x)
-        tangent = self.tangent(x)
+        tangent = self.tangent(x, near=self.by_rays)
         modelled = problem.modelled(rest)
         curvatures = problem.curvatures(modelled)
         hessian = self._curvature(tangent, curvatures, x)
@@ -532,14 +548,17 @@ class Descended:
 
 
 def descend(
-    problem: PosedProblem, x: np.ndarray, *, most: int = MOST_STEPS, flat: float = FLAT, near: bool = False
+    problem: PosedProblem, x: np.ndarray, *, most: int = MOST_STEPS, flat: float | None = None, near: bool = False
 ) -> Descended:
-    """Levenberg-Marquardt from x over surface, effects and poses, until a step promises a gain of less than `flat`.
+    """Levenberg-Marquardt from x over surface, effects and poses, until a step promises a gain of less than `flat`; by
+    default `FLAT`, or `FLAT_BY_RAYS`.
 
     No step moves an object by more than `LARGEST_MOVE_M`. `near`: the end may be a place where changes of the image by
-    poses are those of a place close by, as for a search that goes on from there.
+    poses are those of a place close by, as for a search that goes on from there, or by rays.
     """
-    ends_near = near
+    ends_near = near or problem.by_rays
+    if flat is None:
+        flat = FLAT_BY_RAYS if problem.by_rays else FLAT
     low, high = problem.bounds
     x = np.clip(x, low, high)
     loss, damping = problem.value(x), DAMPED

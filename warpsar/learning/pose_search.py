@@ -102,7 +102,7 @@ class PoseSearch:
             identified,
             [*problem.geometry.held, *_words(of_x, identified)],
             self._values_at(problem, end.x),
-            self._loss_without,
+            self.loss_without,
             [pull for pull in pulls(of_x, x, identified) if pull.label in tolerated],
         )
 
@@ -134,7 +134,7 @@ class PoseSearch:
             return problem, descend(problem, start)
         return problem, descend(problem, start, most=SEARCH_STEPS, flat=SEARCH_FLAT, near=True)
 
-    def _loss_without(self) -> float:
+    def loss_without(self) -> float:
         """The loss where nothing of the geometry moves."""
         _, end = replace(self, scene=still(self.scene), known={}, standing=()).descended(0.0)
         return end.loss

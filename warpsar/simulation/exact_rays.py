@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from warpsar.effects.base.effect import DeclaredEffect
@@ -28,7 +30,7 @@ class ExactRays(Rays):
     ) -> Hits:
         """As `Rays.trace`. Effects that send rays of their own take the scene's density and seed. `only_faces` as in
         `exact_hits`."""
-        return exact_hits(
+        found = exact_hits(
             self.stage.target,
             geometry_of(scene, view),
             effects_grid(scene, effects),
@@ -38,3 +40,4 @@ class ExactRays(Rays):
             only_columns=only_columns,
             only_faces=only_faces,
         )
+        return replace(found, coarse=self.coarse)

@@ -101,18 +101,19 @@ class Rays:
     Models that differ only in materials and effects share them, so that they are compared on the same rays.
     """
 
-    def __init__(self, stage: Stage, rays_per_m2: float | None = None, seed: int = 0) -> None:
-        self.stage, self.rays_per_m2, self.seed = stage, rays_per_m2, seed
+    def __init__(self, stage: Stage, rays_per_m2: float | None = None, seed: int = 0, *, coarse: bool = False) -> None:
+        """`coarse` as in `Hits`: for images that are screened, not compared."""
+        self.stage, self.rays_per_m2, self.seed, self.coarse = stage, rays_per_m2, seed, coarse
         self._kept: dict[_Key, Hits] = {}
         self._most: dict[_Key, int] = {}
         self._tracing = threading.Lock()
         self._thinned: dict[float, Rays] = {}
 
     def thinned(self, share: float) -> Rays:
-        """A set with a `share` of the rays, made when first asked for and then kept. Both state a density."""
+        """A coarse set with a `share` of the rays, made when first asked for and then kept. Both state a density."""
         assert self.rays_per_m2 is not None
         if share not in self._thinned:
-            self._thinned[share] = Rays(self.stage, share * self.rays_per_m2, self.seed)
+            self._thinned[share] = Rays(self.stage, share * self.rays_per_m2, self.seed, coarse=True)
         return self._thinned[share]
 
     def hits(self, scene: Scene, view: View, effects: list[DeclaredEffect]) -> Hits:
@@ -132,7 +133,7 @@ class Rays:
         max_memory_gib: float = DEFAULT_MEMORY_GIB,
     ) -> Hits:
         """Hits of a view, or of a band of its columns; they are not kept here."""
-        return trace_view(
+        found = trace_view(
             scene,
             self.stage,
             view,
@@ -142,6 +143,7 @@ class Rays:
             only_columns=only_columns,
             max_memory_gib=max_memory_gib,
         )
+        return replace(found, coarse=self.coarse)
 
     def forget(self, view: View) -> None:
         """Let go of a view's hits."""

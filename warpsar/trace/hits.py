@@ -77,6 +77,8 @@ class Hits:
     rays_per_m2: float
     seed: int
     rays: int
+    coarse: bool = False
+    """Whether effects that send rays of their own leave out what only makes their bright points more exact."""
     derived: dict[Any, Any] = field(default_factory=dict)
     """What was worked out from these hits (shading samples, an effect's paths or edges): models that share the hits
     share it. Filled under each user's own key."""

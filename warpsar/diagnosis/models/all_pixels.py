@@ -17,7 +17,7 @@ from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.left_out import column_blocks
 from warpsar.diagnosis.models.movable import standing
 from warpsar.diagnosis.models.refit import BOUND, Fitted, refit_as
-from warpsar.learning.pose import FLAT, Descended, PosedProblem, descend
+from warpsar.learning.pose import Descended, PosedProblem, descend
 from warpsar.learning.pose_pixels import FLOOR_SHARE, blurred, compared
 from warpsar.runtime import once
 from warpsar.scene.placing import with_objects
@@ -153,7 +153,7 @@ class Exact:
         )
 
     def settled(
-        self, scene: Scene, views: Sequence[str] | None = None, flat: float = FLAT
+        self, scene: Scene, views: Sequence[str] | None = None, flat: float | None = None
     ) -> tuple[PosedProblem, Descended]:
         """Surface and effects at their best, and what `learn` of the scene's objects frees; `flat` as in `descend`."""
         problem = self.problem(scene, views)

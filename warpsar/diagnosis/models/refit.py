@@ -117,16 +117,19 @@ def _value(plain: Any) -> Any:
 
 
 def descend(
-    problem: FitProblem, starts: Iterable[np.ndarray], moving: np.ndarray | None = None, *, quick: bool = False
+    problem: FitProblem,
+    starts: Iterable[np.ndarray],
+    moving: np.ndarray | None = None,
+    *,
+    quick: bool = False,
+    limit: float = -np.inf,
 ) -> tuple[np.ndarray, float, int]:
     """The best end of Levenberg-Marquardt from several starts, its loss and all iterations. The starts race; the
-    hopeless are given up, and those that no longer gain on the best. Processes share them."""
+    hopeless are given up, and those that no longer gain on the best; `limit` as in `onward`. Processes share them."""
     flat = QUICK_FLAT if quick else FLAT
 
     def on(state: FitState, until: int) -> FitState:
-        while not state.arrived and state.since_start < until:
-            state = levenberg_marquardt(problem, state, moving, flat=flat, kept_within=KEPT_WITHIN)
-        return state
+        return onward(problem, state, until, limit, moving, flat=flat)
 
     def all_on(states: Sequence[FitState], untils: Sequence[int]) -> list[FitState]:
         return once.share([partial(on, state, until) for state, until in zip(states, untils, strict=True)])
@@ -154,12 +157,18 @@ def _worth_more(before: Sequence[float], losses: Sequence[float]) -> list[bool]:
 
 
 def onward(
-    problem: FitProblem, state: FitState, until: int, limit: float = -np.inf, *, flat: float = QUICK_FLAT
+    problem: FitProblem,
+    state: FitState,
+    until: int,
+    limit: float = -np.inf,
+    moving: np.ndarray | None = None,
+    *,
+    flat: float = QUICK_FLAT,
 ) -> FitState:
     """On to iteration `until`, or to where the log-likelihood `limit` is out of reach at the present pace."""
     while not state.arrived and state.since_start < until:
         before = state.best_loss
-        state = levenberg_marquardt(problem, state, flat=flat, kept_within=KEPT_WITHIN)
+        state = levenberg_marquardt(problem, state, moving, flat=flat, kept_within=KEPT_WITHIN)
         reached = state.best_loss - (before - state.best_loss) * (until - state.since_start)
         if state.since_start >= GLANCE and reached > HOPELESS - limit:
             break
@@ -181,8 +190,15 @@ def fit_model(
     return _fit(setup, problem, starts if started is None else [started, *starts[1:]])
 
 
-def _fit(setup: FitSetup, problem: FitProblem, starts: Iterable[np.ndarray], *, quick: bool = False) -> Fitted:
-    return fitted_at(setup, problem, *descend(problem, starts, quick=quick))
+def _fit(
+    setup: FitSetup,
+    problem: FitProblem,
+    starts: Iterable[np.ndarray],
+    *,
+    quick: bool = False,
+    limit: float = -np.inf,
+) -> Fitted:
+    return fitted_at(setup, problem, *descend(problem, starts, quick=quick, limit=limit))
 
 
 def on_bounded_ground(setup: FitSetup, base: Fitted, declared: Scene) -> tuple[FitSetup, Fitted]:
@@ -237,11 +253,12 @@ def refit_without(setup: FitSetup, fitted: Fitted, name: str) -> Fitted:
     return refit_as(setup, replace(fitted.scene, effects=effects))
 
 
-def refit_as(setup: FitSetup, scene: Scene, declared: Scene | None = None) -> Fitted:
-    """The model that starts as the scene stands, fitted on from there; and from the surface that is `declared`."""
+def refit_as(setup: FitSetup, scene: Scene, declared: Scene | None = None, limit: float = -np.inf) -> Fitted:
+    """The model that starts as the scene stands, fitted on from there; and from the surface that is `declared`. A fit
+    that does not reach the log-likelihood `limit` at its pace is given up (`onward`)."""
     problem = setup.problem(scene)
     further = [] if declared is None else [_with_declared_surface(problem, problem.x0, declared)]
-    return _fit(setup, problem, [problem.x0, *further], quick=True)
+    return _fit(setup, problem, [problem.x0, *further], quick=True, limit=limit)
 
 
 def narrow(setup: FitSetup, other: FitSetup, fitted: Fitted) -> tuple[FitSetup, Fitted]:

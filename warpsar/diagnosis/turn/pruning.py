@@ -94,7 +94,8 @@ def resettled(setup: FitSetup, fitted: Fitted, added: Sequence[str], declared: S
     for name in added:
         surface = declared if get(name).follows_rays else None
         for table in _other_settings(fitted.scene, name):
-            trial = refit_as(setup, replace(fitted.scene, effects={**fitted.scene.effects, name: table}), surface)
+            scene = replace(fitted.scene, effects={**fitted.scene.effects, name: table})
+            trial = refit_as(setup, scene, surface, fitted.whole)
             if trial.log_likelihood > fitted.log_likelihood + WORTH:
                 fitted = trial
     return fitted

@@ -5,8 +5,9 @@ They show at edges and shadow borders, hardly inside. So all usable pixels count
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cache
 from typing import cast
 
 import numpy as np
@@ -20,12 +21,13 @@ from warpsar.diagnosis.models.refit import BOUND, Fitted
 from warpsar.diagnosis.turn.geometry_search import of_the_first
 from warpsar.learning.geometry import still, with_free
 from warpsar.learning.pose import foretold_gain, without_shading
-from warpsar.learning.pose_search import SEARCH_BLUR_M, find_poses
+from warpsar.learning.pose_search import SEARCH_BLUR_M, PoseSearch, search_poses
 from warpsar.runtime import once
 from warpsar.scene.scene import Scene
 
 FITTED = 2  # of the screened hypotheses, how many are fitted
 NEAR = 0.5  # of the largest foretold gain, from which on another hypothesis is fitted, too
+CLOSE = 0.8  # of the largest gain on blurred images, from which on a hypothesis is fitted to sharp ones
 
 
 def screened_sensor(declared: Scene, setup: FitSetup, here: Fitted) -> tuple[list[Hypothesis], float]:
@@ -37,8 +39,15 @@ def sensor_candidates(
     declared: Scene, setup: FitSetup, here: Fitted, screened: Sequence[Hypothesis], price: float, least: float
 ) -> list[GeometryCandidate]:
     """Changes of angles or spacings that pay, each fitted with surface and effects, as the first process finds them.
-    One that is foretold less than `least` is not fitted."""
-    found = [_fitted(declared, setup, here, one) for one in worth_a_fit(screened, price, least)]
+
+    One that is foretold less than `least` is not fitted. All others are searched on blurred images, and one that gains
+    far less than the best there is not fitted to sharp ones.
+    """
+    searches = [(one, _searched(setup, here, one)) for one in worth_a_fit(screened, price, least)]
+    best = max((search.gain for _, search in searches), default=0.0)
+    close = [pair for pair in searches if pair[1].gain >= CLOSE * best]
+    without = cache(close[0][1].loss_without) if close else lambda: 0.0  # one fit: all stand on the same model
+    found = [_fitted(one, search, without) for one, search in close]
     return of_the_first(declared, here, [one for one in found if 2.0 * one.gain > one.size * price])
 
 
@@ -77,10 +86,15 @@ def screening(declared: Scene, setup: FitSetup, here: Fitted) -> tuple[list[Hypo
     return found, foretold_gain(left[count:, count:], slope[count:])
 
 
-def _fitted(declared: Scene, setup: FitSetup, here: Fitted, one: Hypothesis) -> GeometryCandidate:
-    """The scene with the hypothesis at its likeliest, surface and effects fitted along."""
+def _searched(setup: FitSetup, here: Fitted, one: Hypothesis) -> PoseSearch:
     free = with_free(here.scene, one.parameters)
-    found = find_poses(free, setup.device, views=_views(here), observations=setup.observations)
+    return search_poses(free, setup.device, views=_views(here), observations=setup.observations)
+
+
+def _fitted(one: Hypothesis, search: PoseSearch, without: Callable[[], float]) -> GeometryCandidate:
+    """The scene with the hypothesis at its likeliest, surface and effects fitted along; `without` as in
+    `FoundPoses`."""
+    found = replace(search.finish(), without=without)
     words = [*found.words, _sensor_change(one).reading(one.label)]
     return GeometryCandidate(one.kind, one.label, still(found.scene), found.gain, found.size, found.numbers, words)
 

@@ -107,8 +107,9 @@ class TracedPaths:
 def trace_paths(render: Recorder, max_bounces: int, cell_m: tuple[float, float] | None = None) -> TracedPaths:
     """Paths of 2, 3, ... `max_bounces` bounces, with the density and seed of the view's hits.
 
-    With `cell_m`, the size of a resolution cell (range, azimuth) [m], their fields are summed over cells too. Rays do
-    not know what a surface is made of: those of one mesh, view and grid are followed once, whoever asks.
+    With `cell_m`, the size of a resolution cell (range, azimuth) [m], their fields are summed over cells too, and cells
+    at the borders of corners are cut finer, but for coarse hits. Rays do not know what a surface is made of: those of
+    one mesh, view and grid are followed once, whoever asks.
     """
     followed = _FOLLOWED.of(
         _key(render, max_bounces, cell_m), render.stage.target.device, partial(_followed, render, max_bounces, cell_m)
@@ -185,7 +186,7 @@ def _key(render: Recorder, max_bounces: int, cell_m: tuple[float, float] | None)
         mesh.update(render.stage.face_material.numpy().tobytes())
     axes = np.concatenate([geometry.d, geometry.u, geometry.v]).tobytes()
     view = axes, geometry.wavenumber, geometry.slant_range_m, hits.grid, hits.rays_per_m2, hits.seed, render.spacing_m
-    return mesh.digest(), view, max_bounces, cell_m, None if cell_m is None else render.taper
+    return mesh.digest(), view, max_bounces, cell_m, None if cell_m is None else (render.taper, hits.coarse)
 
 
 def _followed(render: Recorder, max_bounces: int, cell_m: tuple[float, float] | None) -> _Followed:
@@ -214,7 +215,7 @@ def _followed(render: Recorder, max_bounces: int, cell_m: tuple[float, float] | 
     error = 0.0
     if cell_m is not None:
         shared = _shared(traced_bands, max_bounces, grid, cell_m)
-        cuts, error = _cuts(shared, planes, sent, bands, target.device)
+        cuts, error = ({}, 0.0) if hits.coarse else _cuts(shared, planes, sent, bands, target.device)
         if cuts:
             again = [partial(_band, render, sent, cells, bands[at], cut) for at, cut in cuts.items()]
             finer = dict(zip(cuts, threads.ordered(again, target.device), strict=True))
