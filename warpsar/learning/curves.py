@@ -282,9 +282,7 @@ class _Fit:
         value, low, high = (float(back(u)) for u in (best[place], *ends))
         return ProfileInterval(value, low, high, is_open)
 
-    def _slopes(
-        self, u: np.ndarray, free: NDArray[np.intp], *, one_sided: bool = False
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def _slopes(self, u: np.ndarray, free: np.ndarray, *, one_sided: bool = False) -> tuple[np.ndarray, np.ndarray]:
         self._progress()
         return self._likelihood.slopes(self._turn @ u, self._turn[:, free].T, one_sided=one_sided)
 
