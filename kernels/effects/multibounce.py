@@ -123,14 +123,16 @@ def apparent_point(grid: RayGrid, entry: wp.vec3, exit: wp.vec3, between: float)
 
 @wp.struct
 class PathRays:
-    """What rays of a view are followed with. `plane` numbers the planes of faces; `size` [m] is the mesh's: how far a
-    ray may go from one surface to the next."""
+    """What rays of a view are followed with. `plane` numbers what borders lie between: the planes of faces, but for
+    small pieces of curved surfaces; `piece` is the area [m2] of each face's piece of such a surface
+    (`warpsar.effects.bounces.curved`); `size` [m] is the mesh's: how far a ray may go from one surface to the next."""
 
     grid: RayGrid
     mesh: Triangles
     columns: ImageColumns
     tree: wp.uint64
     plane: wp.array(dtype=int)
+    piece: wp.array(dtype=float)
     max_bounces: int
     size: float
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 import warp as wp
 import worlds
 from effect_worlds import street, with_effect
@@ -13,6 +14,7 @@ from worlds import join, mesh_of, plate, scene_of, view
 
 from warpsar.compare.modelled import KeptAreas, _render
 from warpsar.effects.bounces import cells, tracing
+from warpsar.effects.bounces.curved import Pieces, pieces_of
 from warpsar.effects.registry import declared
 from warpsar.kernels.effects import multibounce, multibounce_cells, multibounce_ends
 from warpsar.runtime.structs import fill
@@ -105,6 +107,87 @@ def test_a_corner_goes_as_the_fourth_power_and_a_lobe_as_the_second() -> None:
             table = {"strength": 1.0, "reflection": reflection}
             found.append(total(with_effect(made, "multibounce", table), "beta0_3_bounces_HH"))
         assert np.log2(found[1] / found[0]) == pytest.approx(power, abs=0.1)
+
+
+# ---- curved bodies
+
+
+@pytest.mark.full
+@pytest.mark.parametrize(
+    ("radius", "frequency_hz", "incidence_deg"), [(0.5, 3.0e9, 45.0), (0.5, 9.6e9, 45.0), (0.3, 5.4e9, 55.0)]
+)
+def test_a_ball_over_a_floor_has_its_level(radius: float, frequency_hz: float, incidence_deg: float) -> None:
+    """A ball of metal sends pi R^2 in every direction, so to its mirror image too; both ways add as fields: 4 pi R^2.
+
+    Physical optics ends its currents where the ball's own shadow begins, and pieces of a few centimetres stand for the
+    ball: 0.8 dB were seen. A ball of flat mirrors that come first on the way would be 6 dB too weak.
+    """
+    sphere = trimesh.creation.icosphere(subdivisions=4, radius=radius)
+    middle = np.array([0.013, 0.021, 2.0 * radius])
+    ball = (np.asarray(sphere.vertices) + middle, np.asarray(sphere.faces))
+    mesh = mesh_of(ball=ball, floor=plate((-3, -3, 0), (6, 0, 0), (0, 6, 0)))
+    made = bouncing(
+        mesh,
+        view(20.0, incidence_deg),
+        frequency_hz,
+        shape=(16, 16),
+        rays_per_pixel=256.0,
+        polarizations=("HH", "VV"),
+    )
+    layers = simulate(made, device="cpu", layers=True)[0].layers
+    pixel = np.prod(made.grid.spacing_m)
+    hh, vv, third = (
+        db(layers[f"beta0_{name}"].astype(float).sum() * pixel)
+        for name in ("2_bounces_HH", "2_bounces_VV", "3_bounces_HH")
+    )
+    expected = db(4.0 * np.pi * radius**2)
+    levels = f"{expected:.1f} | {hh:.1f} | {vv:.1f} | {db(np.pi * radius**2):.1f} | {third:.1f}"
+    print(f"| {radius:g} | {frequency_hz / 1e9:g} | {incidence_deg:g} | {levels} |")
+    assert hh == pytest.approx(expected, abs=1.0)
+    assert vv == pytest.approx(expected, abs=1.0)
+
+
+def pieces(mesh: Mesh) -> tuple[Pieces, np.ndarray]:
+    """Pieces of a mesh whose faces share vertices where they touch, and the planes of its faces."""
+    places, corners = np.unique(mesh.vertices, axis=0, return_inverse=True)
+    corners = corners.reshape(-1)[mesh.faces]
+    normal = np.cross(*(places[corners[:, k]] - places[corners[:, 0]] for k in (1, 2)))
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    normal *= np.where(normal @ (0.3, 0.5, 1.0) < 0.0, -1.0, 1.0)[:, None]  # wound as it may be
+    distance = np.round((normal * places[corners[:, 0]]).sum(axis=1), 2)
+    planes = cells.kinds_of(normal, distance)
+    return pieces_of(places, corners, planes), planes
+
+
+def test_pieces_of_curved_surfaces() -> None:
+    """A box has none, however finely it is cut; every face of a ball is one, and each half of a flat gable."""
+    box = trimesh.creation.box((2.0, 3.0, 4.0)).subdivide()
+    found, planes = pieces(mesh_of(box=(np.asarray(box.vertices), np.asarray(box.faces))))
+    assert np.isinf(found.mirrors()).all()
+    np.testing.assert_array_equal(found.surfaces(planes, 1e6), planes)
+    for slope_deg, curved in ((14.0, True), (16.0, False)):
+        rise = np.tan(np.deg2rad(slope_deg))
+        halves = [plate((-3, 0, 0), (6, 0, 0), (0, 2, 2 * rise)), plate((-3, 4, 0), (0, -2, 2 * rise), (6, 0, 0))]
+        turned = halves[1][0], np.asarray(halves[1][1])[:, ::-1]  # wound either way
+        for other in (halves[1], turned):
+            found, _ = pieces(mesh_of(roof=join([halves[0], other])))
+            expected = 12.0 / np.cos(np.deg2rad(slope_deg)) if curved else np.inf
+            assert found.mirrors() == pytest.approx(np.full(4, expected), rel=1e-5)
+
+
+def test_small_pieces_of_a_curved_surface_have_no_borders() -> None:
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.7)
+    box = trimesh.creation.box((2.0, 3.0, 4.0))
+    box.apply_translation((5.0, 0.0, 0.0))
+    parts = {name: (np.asarray(one.vertices), np.asarray(one.faces)) for name, one in (("ball", ball), ("box", box))}
+    found, planes = pieces(mesh_of(**parts))
+    of_ball = np.arange(len(planes)) < len(ball.faces)
+    assert found.mirrors()[of_ball] == pytest.approx(ball.area_faces, rel=1e-5)
+    surfaces = found.surfaces(planes, 2.0 * ball.area_faces.max())
+    assert np.unique(surfaces[of_ball]).size == 1
+    assert surfaces[0] not in planes
+    np.testing.assert_array_equal(surfaces[~of_ball], planes[~of_ball])
+    np.testing.assert_array_equal(found.surfaces(planes, 0.5 * ball.area_faces.min()), planes)
 
 
 # ---- dihedrals

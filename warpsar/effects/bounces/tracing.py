@@ -31,6 +31,7 @@ from warpsar.effects.bounces.cells import (
     samples_of,
     share,
 )
+from warpsar.effects.bounces.curved import Pieces, pieces_of
 from warpsar.kernels import merge as merging
 from warpsar.kernels.effects import multibounce as kernels
 from warpsar.kernels.geometry import Band, RayGrid
@@ -49,6 +50,7 @@ _UNSURE = 0.12  # of a bright corner's power, half a decibel: rays are too few
 _FAINTEST = 1e-3  # of a field, that a face is taken to mirror at least
 _BUDGET = 3  # times the rays of a view, that cutting may add
 _LEAST_BUDGET = 3_000_000  # rays that it may add to a small view
+_FINE = 4.0  # ray cells, below which pieces of a curved surface have no borders: a strip would be cut at many
 _STRIPS, _RAYS_OF_STRIP = 4, 90  # into which a cell at a border is cut, and rays that find where one lies and ends
 
 _ARRAYS = {n: dtype for n, dtype in element_types(kernels.PathRecords).items() if n not in ("count", "area")}
@@ -206,8 +208,9 @@ def _followed(render: Recorder, max_bounces: int, cell_m: tuple[float, float] | 
         fill(Band, first_cell=begin, end_cell=min(begin + width, last), seed=hits.seed)
         for begin in range(first, last, width)
     ]
-    planes = _kinds(render)[1]
-    sent = _path_rays(render, rays, planes, max_bounces)
+    pieces = pieces_of(*target.places_once, planes := planes_of(target))
+    planes = pieces.surfaces(planes, _FINE / hits.rays_per_m2)
+    sent = _path_rays(render, rays, planes, pieces, max_bounces)
     tasks = [partial(_band, render, sent, cells, band) for band in bands]
     traced_bands = list(threads.ordered(tasks, target.device))
     plain = [_Traced([one and _Merged(one.records, None) for one in band.of], band.area) for band in traced_bands]
@@ -436,8 +439,8 @@ class _Traced:
     area: NDArray[np.float32]
 
 
-def _path_rays(render: Recorder, rays: RayGrid, planes: NDArray[np.int64], max_bounces: int) -> Any:
-    """`kernels.PathRays` of a view."""
+def _path_rays(render: Recorder, rays: RayGrid, planes: NDArray[np.int64], pieces: Pieces, max_bounces: int) -> Any:
+    """`kernels.PathRays` of a view. `planes` numbers what borders lie between."""
     target, grid = render.stage.target, render.hits.grid
     return fill(
         kernels.PathRays,
@@ -446,6 +449,7 @@ def _path_rays(render: Recorder, rays: RayGrid, planes: NDArray[np.int64], max_b
         columns=fill(kernels.ImageColumns, start=grid.start_m[1], spacing=grid.spacing_m[1], count=grid.shape[1]),
         tree=target.bvh.id,
         plane=wp.array(planes, dtype=int, device=target.device),
+        piece=wp.array(pieces.mirrors(), dtype=float, device=target.device),
         max_bounces=max_bounces,
         size=float(np.linalg.norm(np.ptp(target.corners, axis=0))),
     )
@@ -477,7 +481,7 @@ def _band(render: Recorder, followed: Any, cells: Any, band: Any, cut: NDArray[n
             )
         count = int(records.count.numpy()[0])
         if count <= capacity:
-            couples = partial(_coupled, render, rays, cells, cut is None)
+            couples = partial(_coupled, render, followed, cells, cut is None)
             of: list[_Merged | None] = [None] * (max_bounces - 1)
             if count:
                 of = _merge(records, count, max_bounces, couples)
@@ -495,7 +499,7 @@ def _records(capacity: int, device: wp.Device) -> kernels.PathRecords:
 
 def _coupled(
     render: Recorder,
-    rays: RayGrid,
+    followed: Any,
     cells: Any,
     loosely: bool,
     records: Any,
@@ -506,8 +510,8 @@ def _coupled(
     """Fields of merged paths by sample, and the rays that they are of; None without cells."""
     if cells is None:
         return None
-    mesh, wavenumber = render.stage.target.triangles, render.hits.geometry.wavenumber
-    fields = couple(rays, mesh, records, order, first, merged, cells, wavenumber, loosely)
+    rays, wavenumber = followed.grid, render.hits.geometry.wavenumber
+    fields = couple(rays, followed.mesh, records, order, first, merged, cells, wavenumber, followed.piece, loosely)
     middle = records.ray.numpy()[order.numpy()][:, :2].astype(float)
     start, step = (rays.azimuth_start, rays.elevation_start), (rays.azimuth_step, rays.elevation_step)
     cell = np.floor((middle - start) / step).astype(np.int64)
