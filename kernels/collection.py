@@ -465,7 +465,7 @@ def deposit_kernel(
     """Range-compressed pulses, (polarizations, pulses, bins): each scatterer e^{-j 2 pi turns} into WIDTH bins.
 
     A thread takes every `lanes`-th scatterer of one pulse. The way is worked out in float64, from differences. The
-    number of bins is even. On the CPU kernels/pulse_deposit.py does the same.
+    number of bins is even. On the CPU kernels/pulse_lanes.py does the same.
     """
     row, lane = wp.tid()
     pulse = pulse_in[row]

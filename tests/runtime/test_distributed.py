@@ -316,7 +316,7 @@ mine = {
         [asdict(step.spot), step.threshold, step.p_scan, step.added, [repr(c) for c in step.candidates]]
         for step in found.turns
     ],
-    "pixels": [seen.pixels.tolist() for view in found.bench.observations.values() for seen in view],
+    "pixels": [seen.pixels.tolist() for seen in found.observations],
 }
 everything = ranks.gather(mine)
 if ranks.first:

@@ -205,7 +205,7 @@ def wide_tubes(tally: TubeTally) -> list[str]:
 
 def load_kernels(device: wp.Device) -> None:
     names = [f"coherent.{name}" for name in ("tubes", "radiate", "edges", "rough", "placing")]
-    names += ["collection", "backproject", *(["pulse_deposit", "coherent.free_lanes"] if device.is_cpu else [])]
+    names += ["collection", "backproject", *(["pulse_lanes", "coherent.free_lanes"] if device.is_cpu else [])]
     devices.load_kernels(device, *names)
 
 

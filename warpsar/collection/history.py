@@ -24,7 +24,7 @@ from warpsar.errors import InputError
 from warpsar.formats.base.acquisition import RecordedSignal
 from warpsar.formats.base.data import PhaseHistory
 from warpsar.kernels import collection as kernels
-from warpsar.kernels import pulse_deposit
+from warpsar.kernels import pulse_lanes
 from warpsar.runtime import devices, threads
 from warpsar.runtime.memory import default_gib
 from warpsar.runtime.structs import fill
@@ -319,10 +319,10 @@ class PartOnDevice:
 
 def no_bins(plan: Plan, polarizations: int, some: slice, device: wp.Device) -> wp.array:
     """Empty range bins of some pulses: on CUDA complex numbers (polarizations, pulses, bins); on the CPU what
-    `kernels/pulse_deposit.py` fills."""
+    `kernels/pulse_lanes.py` fills."""
     bins, pulses = bins_of(plan), some.stop - some.start
     if device.is_cpu:
-        return wp.zeros((2, polarizations, pulses, bins + pulse_deposit.SPARE), dtype=float, device=device)
+        return wp.zeros((2, polarizations, pulses, bins + pulse_lanes.SPARE), dtype=float, device=device)
     return wp.zeros((polarizations, pulses, bins), dtype=wp.vec2, device=device)
 
 
@@ -338,7 +338,7 @@ def deposited(plan: Plan, track: Any, parts: list[PartOnDevice], some: slice, ou
         inputs = [rows, upload(weight, float, device), track, *scales(plan)]
         if device.is_cpu:
             inputs += [bins_of(plan), part.scatterers, upload(_weights_table(), float, device)]
-            wp.launch(pulse_deposit.pulse_deposit_kernel, 1, inputs=inputs, outputs=[out], device=device)
+            wp.launch(pulse_lanes.pulse_deposit_kernel, 1, inputs=inputs, outputs=[out], device=device)
         else:
             inputs += [part.scatterers, LANES]
             wp.launch(kernels.deposit_kernel, (len(pulses), LANES), inputs=inputs, outputs=[out], device=device)
@@ -358,7 +358,7 @@ def bins_of(plan: Plan) -> int:
 
 @cache
 def _weights_table() -> NDArray[np.float32]:
-    return pulse_deposit.weights_table().ravel()
+    return pulse_lanes.weights_table().ravel()
 
 
 def _block(plan: Plan, track: Any, parts: list[PartOnDevice], polarizations: int, some: slice) -> Any:
@@ -377,7 +377,7 @@ def _spectra(plan: Plan, bins: wp.array) -> NDArray[np.complex64]:
 
 def _gone_round(rows: NDArray[np.float32], bins: int) -> NDArray[np.complex64]:
     """The bins of the CPU's rows (2, ..., bins + SPARE), (..., bins)."""
-    rows[..., : pulse_deposit.SPARE] += rows[..., bins:]
+    rows[..., : pulse_lanes.SPARE] += rows[..., bins:]
     found = np.empty((*rows.shape[1:-1], bins), np.complex64)
     found.real, found.imag = np.roll(rows[..., :bins], -3, axis=-1)
     return found
