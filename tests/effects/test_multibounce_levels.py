@@ -12,6 +12,7 @@ import worlds
 from effect_worlds import street, with_effect
 from worlds import join, mesh_of, plate, scene_of, view
 
+from warpsar.coherent.rcs import rcs
 from warpsar.compare.modelled import KeptAreas, _render
 from warpsar.effects.bounces import cells, tracing
 from warpsar.effects.bounces.curved import Pieces, pieces_of
@@ -23,6 +24,7 @@ from warpsar.simulation.command import Simulation, simulate
 from warpsar.surface.stage import Stage
 from warpsar.trace.hits import BinGrid
 from warpsar.world.mesh import Mesh
+from warpsar.world.tables import Material
 from warpsar.world.taper import taper, width_in_cells
 
 LIGHT = 299792458.0
@@ -611,14 +613,23 @@ def test_a_small_corner_that_is_left_out_of_a_large_scene_is_said() -> None:
     assert found == pytest.approx([db(peak("square", 0.5, 9.6e9))], abs=0.5)
 
 
-def test_rays_beyond_all_bounces_are_said() -> None:
-    """Two walls face to face over ground: rays go on after four bounces, and no more are followed."""
-    canyon = mesh_of(
-        metal=join([plate((-3, 0, 0), (6, 0, 0), (0, 0, 9)), plate((-3, 1, 0), (6, 0, 0), (0, 0, 6))]),
-        ground=plate((-3, 0, 0), (6, 0, 0), (0, 1, 0)),
-    )
-    told = said(bouncing(canyon, view(0.0, 30.0), 9.6e9, max_bounces=4))
-    assert "go on to another one after max_bounces = 4, the most that can be followed" in told
+def test_power_beyond_all_bounces_is_said() -> None:
+    """Two walls that meet at 45 degrees send back what comes after four bounces, whatever its direction; with a floor,
+    after five. `rcs` has those by themselves. An image has no more than four, of ways off this direction."""
+    side = 0.5
+    walls = [plate((0, 0, 0), (side * np.cos(a), side * np.sin(a), 0), (0, 0, side)) for a in np.deg2rad([22.5, 67.5])]
+    corner = [(vertices + CORNER, faces) for vertices, faces in (*walls, plate((0, 0, 0), (side, 0, 0), (0, side, 0)))]
+    mesh = mesh_of(metal=join(corner))
+    made = bouncing(mesh, view(45.0, 55.0), 9.6e9, shape=(20, 20), max_bounces=4, rays_per_pixel=256.0)
+    whole = replace(made, effects={}, radar=made.radar.model_copy(update={"terms": ("multibounce",)}))
+    whole = replace(whole, materials={"metal": Material(conductor=True)})
+    apart = rcs(whole, [45.0], [55.0], layers=True, device="cpu").bounces_m[5]
+    expected = db(4.0 * np.pi * float(np.abs(apart).max()) ** 2)
+    told = said(made)
+    found = re.findall(r"those over 5 hold (-?[0-9.]+) dBsm in HH of view view", told)
+    print(f"five bounces: {expected:.1f} dBsm by rcs, said: {found}")
+    assert [float(one) for one in found] == pytest.approx([expected], abs=0.5)
+    assert "No image can have them" in told
 
 
 def test_a_corner_inside_out_has_the_same_power() -> None:

@@ -41,7 +41,7 @@ from warpsar.trace.hits import DEFAULT_MEMORY_GIB, BinGrid, concatenate
 from warpsar.trace.rays import ray_grid
 from warpsar.trace.target import Target
 
-_RECORD_BYTES = 260  # a record, its field, and the sort's keys and order, twice
+_RECORD_BYTES = 272  # a record, its field, and the sort's keys and order, twice
 _SEGMENT = 64  # cells of one thread on CUDA
 _FEWEST_BANDS, _MOST_BANDS = 8, 64  # on the CPU, where there is memory for them
 _RAYS_OF_BAND = 100_000  # from so many on, a launch costs little beside them
@@ -525,7 +525,7 @@ def _merge(records: kernels.PathRecords, count: int, max_bounces: int, couples: 
     order = wp.empty(2 * count, dtype=int, device=device)
     key = wp.empty(2 * count, dtype=wp.int64, device=device)
     wp.launch(merging.number_kernel, count, outputs=[order], device=device)
-    for what in (2, 1, 0) if max_bounces > 2 else (1, 0):
+    for what in range((max_bounces + 1) // 2, -1, -1):
         wp.launch(kernels.sort_key_kernel, count, inputs=[records, order, what], outputs=[key], device=device)
         wp.utils.radix_sort_pairs(key, order, count, 0, 64)
     start, rank = (wp.empty(count, dtype=int, device=device) for _ in range(2))
