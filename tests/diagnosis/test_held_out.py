@@ -321,6 +321,45 @@ def test_a_body_turned_round_meets_its_turned_rival(tmp_path: Path) -> None:
     assert len(search.steps) == tried
 
 
+@pytest.mark.unit
+def test_fronts_are_asked_at_the_first_sizes_and_at_the_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three effects gain, and sizes are moved after each: the front is asked beside the first of these models and the
+    last one, the box too. Where the first is the last, both are asked once."""
+    (tmp_path / "scene.toml").write_text(SCENE + views(6))
+    scene = Scene.load(tmp_path / "scene.toml")
+    for effects, expected in ((3, [1, 3]), (1, [1])):
+        search = FoldSearch.__new__(FoldSearch)
+        search._met = search._faced = None
+        search.steps, search.bodies, search.ended = [], ["body"], ""
+        search._model = Model([scene], np.zeros(6))
+        left, asked = list(range(1, effects + 1)), {"front": [], "box": []}  # type: ignore[var-annotated]
+
+        def turn(model: Model, refused: set[str], search: FoldSearch = search, left: list[int] = left) -> Model | None:
+            search.steps.append(TrialStep("one", 1.0, 0.1, 0.0, True))
+            return Model(model.scenes, np.full(6, float(left.pop(0)))) if left else None
+
+        def fronts(search: FoldSearch = search, asked: dict[str, list[int]] = asked) -> None:
+            asked["front"].append(int(search._model.scores[0]))
+            search._faced = search._model
+
+        def box(search: FoldSearch = search, asked: dict[str, list[int]] = asked) -> None:
+            asked["box"].append(int(search._model.scores[0]))
+            search._met = search._model
+
+        for name, stub in {
+            "_turn": turn,
+            "_ask_fronts": fronts,
+            "_meet_box": box,
+            "_geometry": lambda offsets: offsets,
+            "_asked_again": lambda model: model,
+            "_beaten": lambda: False,
+            "_ahead_of_box": lambda: False,
+        }.items():
+            monkeypatch.setattr(search, name, stub)
+        search._search()
+        assert asked == {"front": expected, "box": expected}
+
+
 def held(
     beside: dict[str, tuple[float, float]],
     after: float,

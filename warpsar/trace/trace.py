@@ -166,6 +166,7 @@ def _low_half(values: wp.array) -> wp.array:
 # Bytes of a ray at most: its face, what the raster keeps of it, two rows of its band's table, their marks and ranks.
 _RAY_BYTES = 96
 _BAND_RAYS = 2**20  # of a CPU's band: smaller bands share more faces, larger ones leave cores without work
+_LEAST_RAYS = 2**16  # of a CPU's band where there are fewer than 8: starting its kernels takes as long as they do
 _TILE = (4, 8)  # rays of a CUDA warp: across azimuth, along elevation
 _SEGMENT = 4  # rays of one CUDA thread when they are recorded
 _DEPOSITS = {code.name.lower(): code for code in Deposit}
@@ -265,7 +266,8 @@ class _Bands:
         self.raster: Raster | ParallelRaster | None = None  # None: rays go through the BVH
 
     def width(self, max_memory_gib: float) -> int:
-        """Azimuth cells of a band: as many whole columns as the memory allows, and at least 8 bands on a CPU."""
+        """Azimuth cells of a band: as many whole columns as the memory allows, and 8 bands or more on a CPU if they
+        are not too small."""
         rays, (first, last) = self.rays, self.cells
         workers = threads.thread_count() if self.device.is_cpu else 1
         # rows are numbered in 31 bits
@@ -274,7 +276,8 @@ class _Bands:
         room = int(most_rays / max(rays.elevation_cells, 1)) // rays.cells_per_column
         if self.device.is_cpu:
             # not by the number of threads: the bands' order is that of the hits
-            pieces = max(8, (last - first) * rays.elevation_cells // _BAND_RAYS)
+            count = (last - first) * rays.elevation_cells
+            pieces = max(1, min(8, count // _LEAST_RAYS), count // _BAND_RAYS)
             room = min(room, -(-columns // pieces))
         return max(1, min(room, columns)) * rays.cells_per_column
 

@@ -7,9 +7,9 @@ more, its mean and one standard error. At the end every effect is left out once 
 standard errors, for what came early may only have stood in for what came later.
 
 A body meets its rivals before any lead is claimed: itself turned round, and a box of its size, each fitted in the same
-way. They are asked once its sizes were first moved, so that a run of little time has an answer. Where the box predicts
-as well at that time, the search ends: no effect makes a body of another one. At the end the box goes through a search
-of its own, since effects that were chosen for the body hold the box below its best.
+way. They are asked once its sizes were first moved, so that a run of little time has an answer, and again at the end.
+Where the box predicts as well the first time, the search ends: no effect makes a body of another one. At the end the
+box goes through a search of its own, since effects that were chosen for the body hold the box below its best.
 """
 
 from __future__ import annotations
@@ -198,7 +198,8 @@ class FoldSearch:
         self._whose = f"{BOXED}: " if of_rival else ""
         self._model: Model
         self._rivals: dict[str, Model] = {}  # as they were asked last
-        self._met: Model | None = None  # the model that they were asked beside
+        self._met: Model | None = None  # the model that the box was asked beside
+        self._faced: Model | None = None  # the model that the bodies turned round were asked beside
         self._fronts: dict[str, TrialStep] = {}
         self._box_held: list[str] | None = None
         self._doing = ""
@@ -271,8 +272,8 @@ class FoldSearch:
             self._model, pending = model, True
             if self.steps[-1].gain > MATTERS:
                 offsets, pending = self._geometry(offsets), False
-                self._ask_fronts()
                 if self._met is None:
+                    self._ask_fronts()
                     self._meet_box()
                     if self._beaten():
                         self.ended = BEATEN
@@ -280,6 +281,7 @@ class FoldSearch:
                         return
         if pending:
             self._geometry(offsets)
+        if self._faced is not self._model:
             self._ask_fronts()
         self._doing = "the gain of each effect at the end"
         self._model = self._asked_again(self._model)
@@ -547,6 +549,7 @@ class FoldSearch:
                 self.profiles |= profiles
                 step = replace(step, gain=-step.gain)
             self._fronts[label] = step
+        self._faced = self._model
 
     def _meet_box(self) -> None:
         """Hold the model against itself with every body as a box."""
