@@ -690,8 +690,8 @@ def test_how_well_a_corner_is_known_where_rays_lack(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """No cell is cut, as where a view has too many. On the flash little is lost, and nothing said. Off it, 35 to 38 dB
-    below, up to 45 % are missing of the pattern; 21 and 49 dB below less than it is said. The share that is said holds, and is no bound of a single sample: by
-    the worst one it was 240 to 1100 %."""
+    below, up to 45 % are missing of the pattern; 21 and 49 dB below less than is said. The share
+    that is said holds, and is no bound of a single sample: by the worst one it was 240 to 1100 %."""
     monkeypatch.setattr(tracing, "_LEAST_BUDGET", 0)
     monkeypatch.setattr(tracing, "_BUDGET", 0)
     found = []
