@@ -15,7 +15,7 @@ from worlds import join, mesh_of, plate, scene_of, view
 from warpsar.coherent.rcs import rcs
 from warpsar.compare.modelled import KeptAreas, _render
 from warpsar.effects.bounces import cells, tracing
-from warpsar.effects.bounces.curved import Pieces, pieces_of
+from warpsar.effects.bounces.curved import FlatPieces, pieces_of
 from warpsar.effects.registry import declared
 from warpsar.kernels.effects import multibounce, multibounce_cells, multibounce_ends
 from warpsar.runtime.structs import fill
@@ -149,8 +149,8 @@ def test_a_ball_over_a_floor_has_its_level(radius: float, frequency_hz: float, i
     assert vv == pytest.approx(expected, abs=1.0)
 
 
-def pieces(mesh: Mesh) -> tuple[Pieces, np.ndarray]:
-    """Pieces of a mesh whose faces share vertices where they touch, and the planes of its faces."""
+def pieces(mesh: Mesh) -> tuple[FlatPieces, np.ndarray]:
+    """FlatPieces of a mesh whose faces share vertices where they touch, and the planes of its faces."""
     places, corners = np.unique(mesh.vertices, axis=0, return_inverse=True)
     corners = corners.reshape(-1)[mesh.faces]
     normal = np.cross(*(places[corners[:, k]] - places[corners[:, 0]] for k in (1, 2)))

@@ -14,7 +14,7 @@ from warpsar.world.mesh import SMOOTH_DEG
 
 
 @dataclass(frozen=True)
-class Pieces:
+class FlatPieces:
     """Connected planes of faces, by number: `of` each face, (m,); `area` [m2], (pieces,). `joined`, (n, 2): pairs that
     meet at less than `SMOOTH_DEG`, and so are pieces of a curved surface."""
 
@@ -39,7 +39,7 @@ class Pieces:
         return np.where(together[self.of], planes.max(initial=0) + 1 + label[self.of], planes)
 
 
-def pieces_of(vertices: NDArray[np.float64], corners: NDArray[np.integer], planes: NDArray[np.int64]) -> Pieces:
+def pieces_of(vertices: NDArray[np.float64], corners: NDArray[np.integer], planes: NDArray[np.int64]) -> FlatPieces:
     """`vertices` (n, 3) [m], each place once, the faces' `corners` among them, (m, 3), and the number of each one's
     plane."""
     of = bodies_of(np.asarray(corners, np.int64), planes) - 1
@@ -57,7 +57,7 @@ def pieces_of(vertices: NDArray[np.float64], corners: NDArray[np.integer], plane
         away = vertices[apex[side]] - vertices[ends[both, 0]]
         into.append(_unit(away - (away * along).sum(axis=1, keepdims=True) * along))
     smooth = both[(into[0] * into[1]).sum(axis=1) < -np.cos(np.deg2rad(SMOOTH_DEG))]
-    return Pieces(of, area, np.stack([of[face[smooth]], of[face[smooth + 1]]], axis=1))
+    return FlatPieces(of, area, np.stack([of[face[smooth]], of[face[smooth + 1]]], axis=1))
 
 
 def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -31,7 +31,7 @@ from warpsar.effects.bounces.cells import (
     samples_of,
     share,
 )
-from warpsar.effects.bounces.curved import Pieces, pieces_of
+from warpsar.effects.bounces.curved import FlatPieces, pieces_of
 from warpsar.kernels import merge as merging
 from warpsar.kernels.effects import multibounce as kernels
 from warpsar.kernels.geometry import Band, RayGrid
@@ -439,7 +439,7 @@ class _Traced:
     area: NDArray[np.float32]
 
 
-def _path_rays(render: Recorder, rays: RayGrid, planes: NDArray[np.int64], pieces: Pieces, max_bounces: int) -> Any:
+def _path_rays(render: Recorder, rays: RayGrid, planes: NDArray[np.int64], pieces: FlatPieces, max_bounces: int) -> Any:
     """`kernels.PathRays` of a view. `planes` numbers what borders lie between."""
     target, grid = render.stage.target, render.hits.grid
     return fill(
