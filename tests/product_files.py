@@ -141,10 +141,12 @@ def write_safe(
     orbit: bool = True,
     day: str = DAY,
     ground: bool = False,
+    swath: str = "S3",
 ) -> Path:
     """A SAFE folder of a strip-map SLC, int16: digital numbers are `image` times `beta_lut`.
 
-    `ground`: a GRD instead, uint16, whose `image` has pixels of `Band.step_m` on the ground (`ground_range`).
+    A further `swath` comes into the same folder. `ground`: a GRD instead, uint16, whose `image` has pixels of
+    `Band.step_m` on the ground (`ground_range`).
     """
     import rasterio
 
@@ -152,9 +154,9 @@ def write_safe(
     start, near = band.start()
     kind = "GRD" if ground else "SLC"
     safe = folder / f"S1A_S3_{kind}__1SSV_{day.replace('-', '')}T115959.SAFE"
-    (safe / "annotation" / "calibration").mkdir(parents=True)
-    (safe / "measurement").mkdir()
-    stem = f"s1a-s3-{kind.lower()}-vv-{day.replace('-', '')}t115959-001"
+    (safe / "annotation" / "calibration").mkdir(parents=True, exist_ok=True)
+    (safe / "measurement").mkdir(exist_ok=True)
+    stem = f"s1a-{swath.lower()}-{kind.lower()}-vv-{day.replace('-', '')}t115959-001"
     vectors = "".join(
         f"<orbit><time>{utc(t)}</time><frame>Earth Fixed</frame>"
         + "".join(
@@ -166,7 +168,7 @@ def write_safe(
     )
     header = (
         f"<adsHeader><missionId>S1A</missionId><productType>{kind}</productType><polarisation>VV</polarisation>"
-        f"<mode>SM</mode><swath>S3</swath><startTime>{utc(start)}</startTime></adsHeader>"
+        f"<mode>SM</mode><swath>{swath}</swath><startTime>{utc(start)}</startTime></adsHeader>"
     )
     processing = "".join(
         f"<{axis}Processing><windowCoefficient>{1.0}</windowCoefficient><processingBandwidth>{value}</processingBandwidth>"

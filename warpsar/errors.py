@@ -55,6 +55,10 @@ class NothingLitError(InputError):
     """No pixel of an image is lit by the model, unmasked and positive at once."""
 
 
+class NothingShownError(InputError):
+    """A radar product shows no ground of an elevation model."""
+
+
 class DeviceError(WarpsarError):
     """The device that was asked for is not there."""
 

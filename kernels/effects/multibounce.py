@@ -38,6 +38,13 @@ PRIME = wp.constant(wp.uint64(1099511628211))
 """Of the hash FNV-1a."""
 
 
+SURFACES = wp.constant(5)
+"""That a way may have: one more than an image may ask for, which tells what is left out."""
+faces_met = wp.types.vector(length=int(SURFACES), dtype=wp.int32)
+"""By the bounces of a way: face + 1, in their order, and 0 after the last."""
+along_way = wp.types.vector(length=int(SURFACES), dtype=wp.float32)
+"""A number for each bounce of a way."""
+
 changes = wp.types.vector(length=int(STRETCHES), dtype=wp.float32)
 """Places along a line."""
 marks = wp.types.vector(length=int(STRETCHES) + 1, dtype=wp.uint64)
@@ -57,9 +64,9 @@ class PathRecords:
 
     bin: wp.array(dtype=int)
     bounces: wp.array(dtype=int)
-    faces: wp.array(dtype=wp.vec4i)  # face + 1, in the order of the bounces; 0 after the last
-    second: wp.array(dtype=wp.vec4)  # barycentric weights of the faces' second vertices
-    third: wp.array(dtype=wp.vec4)
+    faces: wp.array(dtype=faces_met)
+    second: wp.array(dtype=along_way)  # barycentric weights of the faces' second vertices
+    third: wp.array(dtype=along_way)
     weight: wp.array(dtype=float)  # dA_perp / pixel area
     point: wp.array(dtype=wp.vec3)  # where one bounce would have the same range, azimuth and mean elevation
     ray: wp.array(dtype=wp.vec4)  # azimuth and elevation of the middle of the ray's tube; its sides, in grid cells
@@ -86,7 +93,7 @@ class PathAngles:
     """Angles along merged paths, as `warpsar.effects.multibounce.Paths` has them; `weight`: over cos(theta_n) too."""
 
     weight: wp.array(dtype=float)
-    cos_incidence: wp.array(dtype=wp.vec4)
+    cos_incidence: wp.array(dtype=along_way)
     cos_half: wp.array(dtype=float)
     cos_tilt: wp.array(dtype=float)
     arrival: wp.array(dtype=wp.vec3)  # direction of the ray that meets the first surface
@@ -123,14 +130,16 @@ def apparent_point(grid: RayGrid, entry: wp.vec3, exit: wp.vec3, between: float)
 
 @wp.struct
 class PathRays:
-    """What rays of a view are followed with. `plane` numbers the planes of faces; `size` [m] is the mesh's: how far a
-    ray may go from one surface to the next."""
+    """What rays of a view are followed with. `plane` numbers what borders lie between: the planes of faces, but for
+    small pieces of curved surfaces; `piece` is the area [m2] of each face's piece of such a surface
+    (`warpsar.effects.bounces.curved`); `size` [m] is the mesh's: how far a ray may go from one surface to the next."""
 
     grid: RayGrid
     mesh: Triangles
     columns: ImageColumns
     tree: wp.uint64
     plane: wp.array(dtype=int)
+    piece: wp.array(dtype=float)
     max_bounces: int
     size: float
 
@@ -159,9 +168,9 @@ def follow(
     origin = ray_origin(grid, azimuth, elevation)
     direction = ray_direction(grid, elevation)
     weight = tube[2] * tube[3] * grid.azimuth_step * grid.elevation_step / grid.pixel_area
-    met = wp.vec4i(0, 0, 0, 0)
-    second = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    third = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    met = faces_met()
+    second = along_way()
+    third = along_way()
     entry = wp.vec3(0.0, 0.0, 0.0)
     before = wp.vec3(0.0, 0.0, 0.0)
     side = wp.vec3(0.0, 0.0, 0.0)
@@ -488,7 +497,7 @@ def sort_key_kernel(
     # In:
     records: PathRecords,
     order: wp.array(dtype=int),
-    what: int,  # 0: bounces and bin, 1: first two faces, 2: the other two
+    what: int,  # 0: bounces and bin, 1: first two faces, 2: the next two, 3: the last
     # Out:
     key_out: wp.array(dtype=wp.int64),
 ):
@@ -502,6 +511,9 @@ def sort_key_kernel(
     if what == 2:
         high = records.faces[at][2]
         low = records.faces[at][3]
+    if what == 3:
+        high = records.faces[at][4]
+        low = 0
     key_out[i] = (wp.int64(high) << wp.int64(32)) + wp.int64(low)
 
 
@@ -541,8 +553,8 @@ def reduce_paths_kernel(
     if i + 1 < first.shape[0]:
         end = first[i + 1]
     weight = float(0.0)
-    second = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    third = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    second = along_way()
+    third = along_way()
     point = wp.vec3(0.0, 0.0, 0.0)
     for k in range(begin, end):
         at = order[k]
@@ -595,7 +607,7 @@ def path_geometry_kernel(
     third = paths.third[i]
     direction = look_direction(grid, place_on(mesh, met[0] - 1, second[0], third[0]))
     angles_out.arrival[i] = direction
-    cosines = wp.vec4(1.0, 1.0, 1.0, 1.0)
+    cosines = along_way(1.0)
     for k in range(bounces):
         normal = normal_of(mesh, met[k] - 1)
         slope = wp.dot(normal, direction)

@@ -32,6 +32,9 @@ LONG = wp.constant(wp.float64(0.3))
 """Cells that a tube may have along a side, and more than it has across the line of sight by 16 rays per cell: beyond it
 the response along a tube is told by its ends."""
 
+ALIKE = wp.constant(0.25)
+"""Ratio of the areas of two pieces of curved surfaces down to which neither is the better mirror."""
+
 WHOLE = wp.constant(1.0)
 FADED = wp.constant(4.0)
 """Products of the distances in range and azimuth [cells] between which the response fades to nothing."""
@@ -207,6 +210,22 @@ def evenness(cells: ResolutionCells, place: wp.vec2d, side: wp.vec2d, middle: wp
     return wp.vec2d(ahead - behind, TWO * (ahead + behind - TWO * middle))
 
 
+@wp.func
+def ways_of(first: float, last: float) -> wp.float64:
+    """How many of both ways over surfaces count that begin and end on pieces of these areas: 1, or 0 and 2.
+
+    A tube that a flat piece of a curved surface mirrors stays as narrow as the piece, where the surface would spread
+    it: its currents on the next surface have gaps, and their field is too weak. The way back, which ends on the small
+    piece, has no gaps. Both have one field by reciprocity, so it counts for both.
+    """
+    ways = wp.float64(1.0)
+    if first < ALIKE * last:
+        ways = ZERO
+    if last < ALIKE * first:
+        ways = TWO
+    return ways
+
+
 @wp.kernel(enable_backward=False)
 def tube_kernel(
     # In:
@@ -215,12 +234,14 @@ def tube_kernel(
     records: PathRecords,
     cells: ResolutionCells,
     wavenumber: wp.float64,
+    piece: wp.array(dtype=float),
     # Out:
     tubes_out: TubeFields,
 ):
     """Follow each tube once more along the planes of its faces, in double precision: its phase needs it.
 
-    The shares of a field in the samples that are kept have the squares' sum 1 (`ResolutionCells.even`).
+    The shares of a field in the samples that are kept have the squares' sum 1 (`ResolutionCells.even`). `piece`: of
+    each face, as `PathRays` has it, for `ways_of`.
     """
     i = wp.tid()
     d = wp.vec3d(grid.d)
@@ -289,7 +310,7 @@ def tube_kernel(
     turn_u = wavenumber * wp.dot(turn, foot_u)
     turn_v = wavenumber * wp.dot(turn, foot_v)
     place = wp.vec2d(along / cells.size[0], azimuth / cells.size[1])
-    size = wavenumber / FOUR_PI * area
+    size = wavenumber / FOUR_PI * area * ways_of(piece[met[0] - 1], piece[met[bounces - 1] - 1])
     phase = turned(-TWO * wavenumber * along)
     at = wp.vec2d(turn_u, turn_v)
     if records.ends[i][0] > 0.5:

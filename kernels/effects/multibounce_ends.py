@@ -119,29 +119,47 @@ def reflect_kernel(
     im_out[i] = wp.vec3(back.im)
 
 
+@wp.func
+def answer(
+    face: Face, k: wp.float64, field: Field, d: wp.vec3d, n: wp.vec3d, s: wp.vec3d, receive: wp.vec3d
+) -> wp.vec2d:
+    """What the currents that `field` makes on a face send to `s`, per area, in the polarization `receive`."""
+    out = d - wp.float64(2.0) * wp.dot(n, d) * n
+    return seen(field, reflected(face, k, field, d, n, out), d, out, n, s, receive)
+
+
 @wp.kernel
 def radiate_kernel(
     # In:
     radar: RadarWaves,
-    vertical: int,
+    received: int,  # 1: V
+    sent: int,
     bounce: Bounce,
     home: wp.array(dtype=wp.vec3),
     stuff: Stuff,
     zeta: wp.array(dtype=wp.vec4),
     arriving: Arriving,
+    arriving_other: Arriving,
     # Out:
     amplitude_out: wp.array(dtype=wp.vec2),
 ):
-    """What the currents on the last surface send to the radar, per area, with the coherent share of its reflection."""
+    """What the currents on the last surface send to the radar, per area, with the coherent share of its reflection.
+
+    Of both ways over the same surfaces one may stand for both (`kernels.effects.multibounce_cells.ways_of`). The way
+    back has the transposed amplitude, so a crossed channel is the mean of both. `arriving_other` is what arrives here
+    when the radar sends the polarization it receives.
+    """
     i = wp.tid()
     d = wp.vec3d(bounce.direction[i])
     n = wp.vec3d(bounce.normal[i])
-    out = d - wp.float64(2.0) * wp.dot(n, d) * n
-    field = field_of(arriving, i)
+    s = wp.vec3d(home[i])
     face = face_of(stuff, bounce.face[i], zeta[i])
-    back = reflected(face, wp.float64(radar.wavenumber), field, d, n, out)
-    receive = wp.vec3d(polarized(radar, home[i], vertical))
-    amplitude_out[i] = wp.vec2(seen(field, back, d, out, n, wp.vec3d(home[i]), receive))
+    k = wp.float64(radar.wavenumber)
+    amplitude = answer(face, k, field_of(arriving, i), d, n, s, wp.vec3d(polarized(radar, home[i], received)))
+    if received != sent:
+        other = answer(face, k, field_of(arriving_other, i), d, n, s, wp.vec3d(polarized(radar, home[i], sent)))
+        amplitude = wp.float64(0.5) * (amplitude + other)
+    amplitude_out[i] = wp.vec2(amplitude)
 
 
 @wp.kernel

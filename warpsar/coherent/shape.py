@@ -10,9 +10,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from warpsar.coherent.joints import Joints, joints, welded
+from warpsar.world.mesh import SMOOTH_DEG
 
-SMOOTH_DEG = 30.0
-"""Faces that meet at less than this angle are one smooth surface; the edge between others is a wedge."""
 FLAT = 1e-5
 """A surface is flat whose vertices lie in a plane to this share of the body's size."""
 _SAMPLES = 256

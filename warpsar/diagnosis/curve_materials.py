@@ -217,7 +217,7 @@ def lids(mesh: Mesh, looks: NDArray[np.float64], least_m2: float) -> list[NDArra
     """The faces of each flat part that looks toward the radar, largest first; mirror images that face alike are one.
 
     `looks` are unit vectors to the radar, (n, 3): from one of them a part shows half of its area or more, as the sector
-    `aperture` has it. `least_m2` is the least area. A part is what no edge of more than `coherent.shape.SMOOTH_DEG`
+    `aperture` has it. `least_m2` is the least area. A part is what no edge of more than `world.mesh.SMOOTH_DEG`
     cuts. A smooth body has none.
     """
     surface = shape_of(mesh.vertices, mesh.faces, mesh.face_material).surface

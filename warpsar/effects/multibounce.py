@@ -20,11 +20,11 @@ from warpsar.effects.bounces.roughness import Fields, coherent_power, diffuse_po
 from warpsar.effects.bounces.tracing import BouncesOfOneNumber, TracedPaths, planes_of, trace_paths
 from warpsar.kernels import binning
 from warpsar.kernels.codes import Polarization
+from warpsar.kernels.effects.multibounce import SURFACES
 
 REFLECTIONS = ("roughness", "lobe")
-MOST = 4  # bounces that a path may have
+MOST = int(SURFACES) - 1  # bounces that an image may have
 _TOLD = 0.05  # of the power of an image's bounces, 0.2 dB: less may be left out, unsaid
-_BEYOND_ALL = 0.023  # of the rays that meet two surfaces, 0.1 dB: so many may go on after `MOST` bounces, unsaid
 _SEEN = 1e-3  # of the brightest pixel: a pixel that what is left out would double is told from there on
 
 
@@ -111,7 +111,7 @@ class Multibounce(Effect):
 
     def further(self, render: Recorder) -> Mapping[str, Any] | None:
         most = render.settings[self.name]["max_bounces"]
-        return {"max_bounces": most + 1} if most < MOST and self._traced(render).further > 0.0 else None
+        return {"max_bounces": most + 1} if self._traced(render).further > 0.0 else None
 
     def left_out(self, render: Recorder, other: Recorder) -> LeftOut | None:
         most = render.settings[self.name]["max_bounces"]
@@ -124,7 +124,7 @@ class Multibounce(Effect):
             if lacks.sum() > _TOLD * has.sum() or doubled.any():
                 over = lacks.sum() / has.sum() if has.any() else np.inf
                 rcs_m2 = float(lacks.sum() * np.prod(render.spacing_m))
-                found.append(LeftOut(most + 1, name, rcs_m2, float(over)))
+                found.append(LeftOut(most + 1, name, rcs_m2, float(over), most < MOST))
         return max(found, key=lambda one: one.rcs_m2, default=None)
 
     def doubts(self, render: Recorder) -> list[str]:
@@ -155,11 +155,6 @@ class Multibounce(Effect):
     def _with_coordinates(self, render: Recorder) -> list[tuple[BouncesOfOneNumber, Fields, Fields | None] | None]:
         """Paths by number of bounces, with the fields on them."""
         traced = self._traced(render)
-        if render.settings[self.name]["max_bounces"] == MOST and traced.further > _BEYOND_ALL:
-            render.remarks.append(
-                f"multibounce: {100 * traced.further:.0f} % of the rays that meet two surfaces go on to another one "
-                f"after max_bounces = {MOST}, the most that can be followed: their power is left out, and is not known"
-            )
         if render.settings[self.name]["reflection"] == "roughness":
             render.remarks.extend(traced.remarks)
             if render.resolution_m == render.spacing_m:

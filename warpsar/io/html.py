@@ -65,6 +65,11 @@ def _prose(text: str) -> str:
     return escape(text.replace("+- ", "±\u00a0"))
 
 
+def link(address: str, text: str) -> str:
+    """To a file beside the document."""
+    return f'<p><a href="{escape(address)}">{escape(text)}</a></p>'
+
+
 def command(line: str) -> str:
     """A line to type in a shell."""
     return f"<pre>{escape(line)}</pre>"

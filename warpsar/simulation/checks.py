@@ -183,7 +183,7 @@ def _left_out_warning(left_out: Mapping[str, LeftOut]) -> list[str]:
     return [
         f"{_views(left_out)}: multibounce: ways over more than max_bounces = {most.bounces - 1} surfaces are left out; "
         f"those over {most.bounces} hold {10 * np.log10(most.rcs_m2):.1f} dBsm in {most.polarization} of view {view}, "
-        f"{beside}. max_bounces = {most.bounces} takes them"
+        f"{beside}. " + (f"max_bounces = {most.bounces} takes them" if most.takes else "No image can have them")
     ]
 
 

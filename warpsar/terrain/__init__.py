@@ -12,6 +12,8 @@ layers.py        what each layer is: name, unit, words
 result.py        a product's layers together
 summary.py       what they say in a few numbers and words
 comparison.py    measured pixels beside simulated ones, and rivals that know no terrain
+scatter.py       how cells scatter about a model, and what neighbours have in common
+parts.py         cells of one declared surface that are off together
 differences.py   what differs between them, as hypotheses with intervals
 files.py         GeoTIFF, NetCDF and Zarr
 figures.py       pictures with axes

@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from warpsar.errors import InputError
+from warpsar.errors import InputError, NothingShownError
 from warpsar.products.grid import LineGrid
 from warpsar.products.product import Product
 from warpsar.products.zero_doppler import abeam, locate
@@ -66,7 +66,8 @@ def bursts_of(grid: LineGrid) -> list[tuple[int, LineGrid]]:
 
 
 def window_of(product: Product, ground: Elevation, crop: Box | None) -> ImageWindow:
-    """The part of the image that can show the elevation model, or `crop` of it. Raises InputError where there is none.
+    """The part of the image that can show the elevation model, or `crop` of it. Raises NothingShownError where there
+    is none.
 
     Places over the model, at its lowest and its highest height, go through zero Doppler.
     """
@@ -74,19 +75,8 @@ def window_of(product: Product, ground: Elevation, crop: Box | None) -> ImageWin
     longitude, latitude = places_on(ground)
     inside = np.ones(longitude.shape, bool)
     if crop is not None:
-        west, south, east, north = crop
-        inner_lon, inner_lat = places_in(crop)
-        row, column = ground.posts_at(inner_lon, inner_lat)
-        over = (row >= 0) & (row <= ground.shape[0] - 1) & (column >= 0) & (column <= ground.shape[1] - 1)
-        longitude, latitude, inside = inner_lon, inner_lat, over
-        if not over.any():
-            raise InputError(
-                f"--crop: found {west:g} {south:g} {east:g} {north:g}; {ground.path} holds none of it (it reaches from "
-                f"{_reach(ground)})"
-            )
-        if not over.all():
-            part = f"{ground.path} holds {100.0 * over.mean():.2g} % of it, and reaches from {_reach(ground)}"
-            console.warn([f"--crop: {part}; that part is simulated"])
+        longitude, latitude = places_in(crop)
+        inside = _over(ground, longitude, latitude)
     places = np.concatenate(
         [
             np.stack([latitude[inside], longitude[inside], np.full(int(inside.sum()), height)], axis=-1)
@@ -105,10 +95,29 @@ def window_of(product: Product, ground: Elevation, crop: Box | None) -> ImageWin
             lines += [first + _inside(line.min(), grid.lines), first + _inside(line.max(), grid.lines)]
             pixels += [_inside(pixel.min(), grid.pixels), _inside(pixel.max(), grid.pixels)]
     if not lines:
-        raise InputError(
+        raise NothingShownError(
             f"{product.source}: it shows no place of {ground.path} (which reaches from {_reach(ground)}); must overlap"
         )
     return ImageWindow((min(lines), max(lines) + 1), (min(pixels), max(pixels) + 1))
+
+
+def check_crop(ground: Elevation, crop: Box) -> None:
+    """Raise InputError for a crop beyond the elevation model; warn of one that reaches over its edge."""
+    over = _over(ground, *places_in(crop))
+    west, south, east, north = crop
+    if not over.any():
+        raise InputError(
+            f"--crop: found {west:g} {south:g} {east:g} {north:g}; {ground.path} holds none of it (it reaches from "
+            f"{_reach(ground)})"
+        )
+    if not over.all():
+        part = f"{ground.path} holds {100.0 * over.mean():.2g} % of it, and reaches from {_reach(ground)}"
+        console.warn([f"--crop: {part}; that part is simulated"])
+
+
+def _over(ground: Elevation, longitude: F64, latitude: F64) -> NDArray[np.bool_]:
+    row, column = ground.posts_at(longitude, latitude)
+    return np.asarray((row >= 0) & (row <= ground.shape[0] - 1) & (column >= 0) & (column <= ground.shape[1] - 1))
 
 
 def _refuse_short_orbit(product: Product) -> None:

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import hashlib
 import math
+import re
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import warp as wp
 
-from warpsar.errors import InputError, did_you_mean
+from warpsar.errors import InputError, NothingShownError, did_you_mean
 from warpsar.formats import registry
 from warpsar.io import figures
 from warpsar.io import html as report
@@ -23,8 +25,8 @@ from warpsar.runtime import console, devices
 from warpsar.runtime.threads import in_threads
 from warpsar.simulation.outputs import make_folder, refuse_unwritable, write_json
 from warpsar.terrain import files
-from warpsar.terrain.blocks import Box, places_in, places_on
-from warpsar.terrain.buildings import placed
+from warpsar.terrain.blocks import Box, check_crop, places_in, places_on, window_of
+from warpsar.terrain.buildings import TerrainBuildings, placed
 from warpsar.terrain.comparison import TerrainComparison, compared
 from warpsar.terrain.differences import TerrainDifferences, differences
 from warpsar.terrain.elevation import Elevation
@@ -57,13 +59,15 @@ def twin(
 ) -> SimulatedProduct:
     """What a radar product should show of the ground: layers on the product's own grid and on the map.
 
-    `product`: a file, a SAFE folder, or a product that is open. `dem`: a GeoTIFF of heights [m]. Where it does not say
-    above what they are, or PROJ lacks the grid from there to the ellipsoid, `geoid_offset_m` is added to all of them.
-    `surface`: one of the library, where `landcover` says nothing. `landcover`: a GeoTIFF of classes, which become
-    surfaces by `landcover_table`: "worldcover", "corine", or a TOML file. `buildings`: GeoJSON or CityGML. `crop`:
-    west, south, east, north [deg]; without it all that the DEM covers. `polarization` chooses an image where a product
-    has several. `radiometry` says what power is where the product does not: "beta0", "sigma0" or "gamma0". Layers of
-    more than 1 GiB are arrays in files without a name in `scratch`, by default in the folder for temporary files.
+    `product`: a file, a SAFE folder, or a product that is open. Of several sub-swaths it is the one that shows the
+    ground; where several do, name an annotation file (the command makes a view of each). `dem`: a GeoTIFF of heights
+    [m]. Where it does not say above what they are, or PROJ lacks the grid from there to the ellipsoid, `geoid_offset_m`
+    is added to all of them. `surface`: one of the library, where `landcover` says nothing. `landcover`: a GeoTIFF of
+    classes, which become surfaces by `landcover_table`: "worldcover", "corine", or a TOML file. `buildings`: GeoJSON or
+    CityGML. `crop`: west, south, east, north [deg]; without it all that the DEM covers. `polarization` chooses an image
+    where a product has several. `radiometry` says what power is where the product does not: "beta0", "sigma0" or
+    "gamma0". Layers of more than 1 GiB are arrays in files without a name in `scratch`, by default in the folder for
+    temporary files.
 
     Facets of the ground are brought to zero Doppler by the orbit and cut by the pixels, so their areas are exact. A ray
     from each piece to the radar says whether it is lit. beta0 is the sum of sigma0 times lit area over the pixel's area
@@ -73,24 +77,72 @@ def twin(
     """
     _refuse(surface, crop, radiometry, polarization)
     where = devices.resolve_device(device)
-    opened = product if isinstance(product, Product) else _opened(Path(product), polarization, file_format)
-    if radiometry is not None and opened.radiometry is None:
-        opened = replace(opened, radiometry=radiometry)
-    _ = opened.required_orbit  # before the elevation model is read
-    elevation = Elevation.read(Path(dem), geoid_offset_m)
-    surfaces = [surface]
-    cover = built = None
-    if landcover is not None:
-        cover = LandCover.read(Path(landcover), table_of(landcover_table), surfaces, surface)
-        if not cover.meets(*(places_on(elevation) if crop is None else places_in(crop))):
-            where_not = f"{elevation.path}" if crop is None else "--crop"
-            raise InputError(f"{cover.path}: it holds no place of {where_not}; must overlap")
-    if buildings is not None:
-        built = placed(Path(buildings), elevation, surfaces)
-        elevation = replace(elevation, highest_m=max(elevation.highest_m, built.highest_m))
-    sigma0 = np.stack([surface_sigma0(name, opened) for name in surfaces])
-    scenery = Scenery(tuple(surfaces), sigma0, cover, built)
-    return simulated(opened, elevation, scenery, crop, where, None if scratch is None else Path(scratch))
+    views = {"": product} if isinstance(product, Product) else _opened(Path(product), polarization, file_format)
+    views = {name: _stated(one, radiometry) for name, one in views.items()}
+    ground = _Ground.read(dem, surface, landcover, landcover_table, buildings, crop, geoid_offset_m)
+    shown, _ = ground.shown_in(views)
+    if len(shown) > 1:
+        sources = ", ".join(Path(one.source).name for one in shown.values())
+        raise InputError(f"{product}: found {len(shown)} sub-swaths that show the ground; name one of {sources}")
+    (one,) = shown.values()
+    return ground.seen_by(one, where, None if scratch is None else Path(scratch))
+
+
+@dataclass(frozen=True)
+class _Ground:
+    """What lies there, whoever looks."""
+
+    elevation: Elevation
+    surfaces: tuple[str, ...]
+    cover: LandCover | None
+    built: TerrainBuildings | None
+    crop: Box | None
+
+    @classmethod
+    def read(
+        cls,
+        dem: PathLike[str] | str,
+        surface: str,
+        landcover: PathLike[str] | str | None,
+        landcover_table: str,
+        buildings: PathLike[str] | str | None,
+        crop: Box | None,
+        geoid_offset_m: float | None,
+    ) -> _Ground:
+        elevation = Elevation.read(Path(dem), geoid_offset_m)
+        if crop is not None:
+            check_crop(elevation, crop)
+        surfaces = [surface]
+        cover = built = None
+        if landcover is not None:
+            cover = LandCover.read(Path(landcover), table_of(landcover_table), surfaces, surface)
+            if not cover.meets(*(places_on(elevation) if crop is None else places_in(crop))):
+                where_not = f"{elevation.path}" if crop is None else "--crop"
+                raise InputError(f"{cover.path}: it holds no place of {where_not}; must overlap")
+        if buildings is not None:
+            built = placed(Path(buildings), elevation, surfaces)
+            elevation = replace(elevation, highest_m=max(elevation.highest_m, built.highest_m))
+        return cls(elevation, tuple(surfaces), cover, built, crop)
+
+    def shown_in(self, views: Mapping[str, Product]) -> tuple[dict[str, Product], dict[str, str]]:
+        """The views that can show it, and why others cannot. Raises NothingShownError where none can."""
+        shown: dict[str, Product] = {}
+        refused: dict[str, str] = {}
+        for name, one in views.items():
+            try:
+                window_of(one, self.elevation, self.crop)
+            except NothingShownError as error:
+                refused[name] = str(error)
+            else:
+                shown[name] = one
+        if not shown:
+            raise NothingShownError(next(iter(refused.values())))
+        return shown, refused
+
+    def seen_by(self, product: Product, device: wp.Device, scratch: Path | None) -> SimulatedProduct:
+        sigma0 = np.stack([surface_sigma0(name, product) for name in self.surfaces])
+        scenery = Scenery(self.surfaces, sigma0, self.cover, self.built)
+        return simulated(product, self.elevation, scenery, self.crop, device, scratch)
 
 
 def _refuse(surface: str, crop: Box | None, radiometry: str | None, polarization: str | None) -> None:
@@ -113,18 +165,29 @@ def _refuse(surface: str, crop: Box | None, radiometry: str | None, polarization
         )
 
 
-def _opened(path: Path, polarization: str | None, file_format: str) -> Product:
+def _stated(product: Product, radiometry: Radiometry | None) -> Product:
+    """A product whose power is known by what the user says, where the file does not."""
+    _ = product.required_orbit  # before the elevation model is read
+    return product if radiometry is None or product.radiometry is not None else replace(product, radiometry=radiometry)
+
+
+def _opened(path: Path, polarization: str | None, file_format: str) -> dict[str, Product]:
+    """The images of a product, by sub-swath. Raises InputError where a sub-swath has several."""
     found = registry.products(path, file_format=file_format, polarization=polarization, option="--product-format")
-    if len(found) > 1:
-        names = list(dict.fromkeys(Path(one.source).name for one in found))
-        kinds = ", ".join(sorted({one.polarization or "unknown" for one in found}))
-        if len(names) == 1:
-            raise InputError(f"{path}: found images of the polarizations {kinds}; state one by --polarization")
-        raise InputError(
-            f"{path}: found {len(found)} images ({', '.join(names)}; polarizations {kinds}); name one annotation file, "
-            "or --polarization"
-        )
-    return found[0]
+    views = {_view_name(one): one for one in found}
+    if len(views) == len(found):
+        return views
+    names = list(dict.fromkeys(Path(one.source).name for one in found))
+    kinds = sorted({one.polarization or "unknown" for one in found})
+    if len(kinds) > 1:
+        raise InputError(f"{path}: found images of the polarizations {', '.join(kinds)}; state one by --polarization")
+    raise InputError(f"{path}: found {len(found)} images ({', '.join(names)}); name one of these files")
+
+
+def _view_name(product: Product) -> str:
+    """The sub-swath, as a folder may be called."""
+    name = (product.platform.split() or [""])[-1]
+    return name if re.fullmatch(r"\w{1,16}", name, re.ASCII) else Path(product.source).stem
 
 
 def run(
@@ -156,22 +219,52 @@ def run(
     console.say_device(where)
     refuse_unwritable(out)
     disk = next(each for each in (out, *out.absolute().parents) if each.exists())
-    found = twin(
-        product,
-        dem,
-        surface=surface,
-        landcover=landcover,
-        landcover_table=landcover_table,
-        buildings=buildings,
-        crop=crop,
-        geoid_offset_m=geoid_offset_m,
-        polarization=polarization,
-        radiometry=radiometry,
-        file_format=file_format,
-        device=device,
-        scratch=disk,
-    )
-    make_folder(out)  # nothing is written for what is refused
+    _refuse(surface, crop, radiometry, polarization)
+    views = {name: _stated(one, radiometry) for name, one in _opened(product, polarization, file_format).items()}
+    ground = _Ground.read(dem, surface, landcover, landcover_table, buildings, crop, geoid_offset_m)
+    shown, refused = ground.shown_in(views)
+    settings = {
+        "crop": crop,
+        "geoid_offset_m": geoid_offset_m,
+        "radiometry": radiometry,
+        "landcover_table": landcover_table,
+        "formats": list(formats),
+    }
+    inputs = (dem, *filter(None, (landcover, buildings)))
+
+    def write(one: Product, folder: Path, began: float) -> dict[str, Any]:
+        found = ground.seen_by(one, where, disk)
+        make_folder(folder)  # nothing is written for what is refused
+        return _written(found, folder, inputs, formats, settings, where, began, command)
+
+    if refused:
+        console.say(f"twin: the ground is in {', '.join(shown)}, and not in {', '.join(refused)}")
+    if len(shown) == 1:
+        return write(next(iter(shown.values())), out, started)
+    contents: dict[str, Any] = {}
+    for name, view in shown.items():
+        console.say(f"twin: {name}")
+        try:
+            contents[name] = write(view, out / name, time.perf_counter())
+        except NothingShownError as error:  # ground there may be without data
+            refused[name] = str(error)
+    if not contents:
+        raise NothingShownError(next(iter(refused.values())))
+    digest = _digest(*(Path(one.source) for one in shown.values()), *inputs)
+    return _write_views(out, product, digest, contents, refused, settings, where, started, command)
+
+
+def _written(
+    found: SimulatedProduct,
+    out: Path,
+    inputs: Sequence[Path],
+    formats: Sequence[str],
+    settings: dict[str, Any],
+    where: wp.Device,
+    started: float,
+    command: Sequence[str],
+) -> dict[str, Any]:
+    """One view's files, and its JSON's content. `inputs`: what was read beside the product."""
     said, against, differs = summary(found), compared(found), differences(found)
     layers: dict[str, Callable[[], None]] = {}
     for one in dict.fromkeys(formats):
@@ -184,7 +277,7 @@ def run(
     written = [*layers, *drawn]
     source = Path(found.product.source)
     content = {
-        "input": {"scene": source.name, "sha256": _digest(source, dem, *filter(None, (landcover, buildings)))},
+        "input": {"scene": source.name, "sha256": _digest(source, *inputs)},
         **files.facts(found),
         "window": {"lines": list(found.window.lines), "pixels": list(found.window.pixels)},
         "map_shape": list(next(iter(found.map.values())).shape),
@@ -194,19 +287,68 @@ def run(
         "comparison": against.content() if isinstance(against, TerrainComparison) else against,
         "differences": differs.content() if isinstance(differs, TerrainDifferences) else differs,
         "files": [*written, "report.html"],
-        "settings": {
-            "crop": crop,
-            "geoid_offset_m": geoid_offset_m,
-            "radiometry": radiometry,
-            "landcover_table": landcover_table,
-            "formats": list(formats),
-        },
+        "settings": settings,
     }
     content = write_json(out / "twin.json", None, where, None, started, content)
     write_report(out / "report.html", said, against, differs, {name: out / name for name in drawn}, content, command)
     console.say_written(out, "report.html", "twin.json", *written)
     print("\n".join([*said.words, *words_of(against), *words_of(differs)]))
     return content
+
+
+def _write_views(
+    out: Path,
+    product: Path,
+    digest: str,
+    contents: dict[str, Any],
+    refused: Mapping[str, str],
+    settings: dict[str, Any],
+    where: wp.Device,
+    started: float,
+    command: Sequence[str],
+) -> dict[str, Any]:
+    """What leads to the views of several sub-swaths: report.html and twin.json in `out`. Returns the JSON's content."""
+    one = next(iter(contents.values()))
+    content = {
+        "input": {"scene": product.name, "sha256": digest},
+        "product": product.name,
+        "acquired": one["acquired"],
+        "views": {name: f"{name}/twin.json" for name in contents},
+        "without_ground": dict(refused),
+        "files": [*(f"{name}/{file}" for name, each in contents.items() for file in each["files"]), "report.html"],
+        "settings": settings,
+    }
+    content = write_json(out / "twin.json", None, where, None, started, content)
+    lead = f"warpsar twin {content['version']}; {product.name}, {one['acquired'][:19]} UTC"
+    sections = [
+        report.section(
+            name,
+            *(report.paragraph(_sentence(each)) for each in words_in(of)),
+            report.link(f"{name}/report.html", f"Report of {name}"),
+        )
+        for name, of in contents.items()
+    ]
+    if refused:
+        sections.append(
+            report.section("Without ground", report.bullets([_sentence(each) for each in refused.values()]))
+        )
+    sections.append(
+        report.reproduce(content, list(command) or ["warpsar", "twin"], f"Beside this file: {_beside(content)}.")
+    )
+    report.write(
+        out / "report.html", report.page("What the product should show: a view of each sub-swath", lead, *sections)
+    )
+    console.say_written(out, "report.html", "twin.json")
+    return content
+
+
+def words_in(content: Mapping[str, Any]) -> list[str]:
+    """What a view's JSON says, a line each."""
+    told = list(content["words"])
+    for key in ("comparison", "differences"):
+        answer = content[key]
+        told += [] if answer is None else [answer] if isinstance(answer, str) else answer["words"]
+    return told
 
 
 def _drawn(

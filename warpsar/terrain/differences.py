@@ -6,25 +6,28 @@ Cells of pixels (`comparison.py`) hold measured power y beside the model
 
 S_k: simulated beta0 of the surface, at places that may be moved; N: the annotation's noise. Each factor and each move
 is a hypothesis. They are chosen one after the other by scores of a gamma likelihood in half of the squares of a
-checkerboard, and each has to predict the other half better (its deviance, by squares, two standard errors above 0).
-Neighbouring cells are alike in real fields: cells of a square have a part of their residual in common. Its variance and
-that of single cells are measured, robustly, and chances and intervals follow from both (the sandwich of a clustered
-likelihood: Liang and Zeger 1986, Biometrika 73). A trend over the image
+checkerboard, and each has to predict the other half better (its deviance, two standard errors above 0).
+Neighbouring cells are alike in real fields (`scatter.py`), so chances and intervals follow from the variance of sums
+over cells that have much in common (the sandwich of Liang and Zeger 1986, Biometrika 73). Where cells of one declared
+surface are off together, they are a hypothesis, too (`parts.py`). A trend over the image
 that needs no physics is a hypothesis like the others. A level within what the library grants its surfaces has no name.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import label
+from scipy.ndimage import binary_dilation, label
 from scipy.special import chdtrc
 
 from warpsar.terrain.comparison import LEAST_CELLS, SQUARE, averaged_in_bands, cell_of, line_length_m, slant_step_m
+from warpsar.terrain.parts import part_in, refined
 from warpsar.terrain.result import SimulatedProduct
+from warpsar.terrain.scatter import CellBlocks, CellScatter, robust_variance, weights_of
 from warpsar.terrain.scenery import ANGLES_DEG, surface_sigma0
 from warpsar.world.library.surfaces import SURFACES
 
@@ -37,18 +40,25 @@ CONFIRMED = 2.0
 """Standard errors of the gain on the other half."""
 LEAST_SQUARES = 12
 """In each half: fewer do not tell what squares have in common."""
-LEAST_TOUCHED = 4
-"""Squares of the other half in which a hypothesis must do something: of fewer a scatter says little."""
+LEAST_TOUCHED = 2
+"""Squares of the other half in which a hypothesis must do something."""
 LEAST_REGION = 3 * SQUARE**2 // 2
 """Cells of a part of the land cover that is asked for itself."""
 MOST_REGIONS = 30
+MOST_PARTS = 12
+"""Parts that are tried: those of the land cover that no region is."""
 WHOLE = 0.8
 """Share of one surface in a cell that belongs to a region."""
-CAP = 6.0
-"""Residuals count in full up to so many of their robust standard deviation: a bright point is not a level."""
 TIED = 0.95
 """Correlation of two scores."""
 STEPS = 12
+FARTHEST = 8
+"""Cells along a line and across, over which a moved image is looked for."""
+QUARTERS = (-0.75, -0.5, -0.25, 0.0, 0.25, 0.5, 0.75)
+"""Of a cell, about the best whole one."""
+PLACED = 0.04
+"""Standard deviation [pixels] that a move has beside what cells say: an image between its pixels is taken for linear,
+and over hills places were up to 0.07 pixel off, where nothing else was."""
 PLACE_ALLOWANCE_M = 4.0
 """Slant range that atmosphere, tides and a product's own timing may take (Schubert et al. 2015, Remote Sens. 7)."""
 NORMAL_95 = 1.96
@@ -106,8 +116,7 @@ def differences(found: SimulatedProduct) -> TerrainDifferences | str | None:
     if not found.measured:
         return None
     cells = _Cells(found)
-    halves = [cells.usable & cells.half(k) for k in (0, 1)]
-    squares = [np.unique(cells.square[half]).size for half in halves]
+    squares = [np.unique(cells.square[cells.blocks(k).where]).size for k in (0, 1)]
     if cells.usable.sum() < LEAST_CELLS or min(squares) < LEAST_SQUARES:
         return (
             f"{int(cells.usable.sum())} cells in {sum(squares)} squares: too few to ask what differs; must be "
@@ -119,35 +128,71 @@ def differences(found: SimulatedProduct) -> TerrainDifferences | str | None:
     refused: set[str] = set()
     ties: dict[str, tuple[str, ...]] = {}
     x = np.zeros(0)
-    while left := [name for name in asked if name not in chosen and name not in refused]:
-        chances, close = _screened(cells, chosen, x, left, halves[0])
-        likely = [int(k) for k in np.argsort(chances)[:FITTED] if chances[k] * len(left) <= CHANCE]
+    while True:
+        over = refused.union(chosen, *ties.values())
+        left = [name for name in asked if name not in over]
+        parts = cells.parts_off(chosen, x)
+        left += parts
+        if not left:
+            break
+        statistics, close = _screened(cells, chosen, x, left, cells.blocks(0))
+        # a part could have been found in many places
+        trials = np.array([cells.places if name in parts else len(left) for name in left])
+        likely = [int(k) for k in np.argsort(-statistics)[:FITTED] if chdtrc(1.0, statistics[k]) * trials[k] <= CHANCE]
+        # a score knows of moves less than a hill is wide
+        starts = cells.starts(chosen, x)
+        likely += [k for k, name in enumerate(left) if starts.get(name) and k not in likely]
         if not likely:
             break
         # a score says what a small change gains: what a whole change gains is found by a fit
-        fits = {k: _fitted(cells, [*chosen, left[k]], np.append(x, 0.0), halves[0]) for k in likely}
-        best = max(fits, key=lambda k: _gain(cells, (chosen, x), ([*chosen, left[k]], fits[k]), halves[0])[0])
+        fits = {
+            k: _fitted(cells, [*chosen, left[k]], np.append(x, starts.get(left[k], 0.0)), cells.blocks(0))
+            for k in likely
+        }
+        best = max(fits, key=lambda k: _gain(cells, (chosen, x), ([*chosen, left[k]], fits[k]), cells.blocks(0))[0])
         name, more = left[best], fits[best]
-        gain, error = _gain(cells, (chosen, x), ([*chosen, name], more), halves[1])
-        sd = _standard_deviations(cells, [*chosen, name], more, halves[0])[-1]
+        gain, error = _gain(cells, (chosen, x), ([*chosen, name], more), cells.blocks(1))
+        sd = _standard_deviations(cells, [*chosen, name], more, cells.blocks(0))[-1]
         if gain < CONFIRMED * error or abs(more[-1]) < CONFIRMED * sd:  # a factor that runs off to 0 has no value
             refused.add(name)
+            cells.keep(name, parts)
             continue
         ties[name] = tuple(other for k, other in enumerate(left) if k != best and abs(close[best, k]) > TIED)
+        cells.keep(name, parts)
+        if name in parts:
+            cells.refine(name, chosen, x)
+            more = _fitted(cells, [*chosen, name], more, cells.blocks(0))
         chosen.append(name)
         gains.append(gain)
         x = more
-    final = _fitted(cells, chosen, x, cells.usable)
-    deviations = _standard_deviations(cells, chosen, final, cells.usable)
+    everywhere = cells.blocks(None)
+    for name in cells.as_declared(found.product.frequency_hz, chosen, x):
+        out = chosen.index(name)
+        del chosen[out], gains[out]
+        x = np.delete(x, out)
+    while True:
+        final = _fitted(cells, chosen, x, everywhere)
+        deviations = _standard_deviations(cells, chosen, final, everywhere)
+        apart = np.abs(final) / deviations
+        if not chosen or apart.min() >= NORMAL_95:
+            break
+        # what stood in for a cause that was found later is nothing beside it
+        out = int(np.argmin(apart))
+        del chosen[out], gains[out]
+        x = np.delete(final, out)
+    for k, name in enumerate(chosen):
+        if name in MOVES:
+            deviations[k] = np.hypot(deviations[k], PLACED / cells.steps_per_metre(name))
     told = tuple(
         _difference(found, cells, name, float(final[k]), float(deviations[k]), gains[k], ties[name])
         for k, name in enumerate(chosen)
     )
     bare, after = cells.model([], np.zeros(0)).power, cells.model(chosen, x).power
-    scatter = _Scatter.of(cells, after, halves[1])
-    y = cells.measured[halves[1]]
+    other = cells.blocks(1)
+    y = cells.measured[other.where]
+    scatter = CellScatter.of(y / after[other.where] - 1.0, other)
     left_over = tuple(
-        float(np.average(_deviance(y, power[halves[1]]), weights=scatter.weights) / scatter.variance)
+        float(np.average(_deviance(y, power[other.where]), weights=scatter.weights) / scatter.variance)
         for power in (bare, after)
     )
     with np.errstate(all="ignore"):
@@ -158,7 +203,7 @@ def differences(found: SimulatedProduct) -> TerrainDifferences | str | None:
     words = [one.words for one in told] or ["of all that is asked, these pixels confirm nothing"]
     words.append(_farthest(found, cells, pictures[1]))
     return TerrainDifferences(
-        cells.cell, told, tuple(asked), sum(squares), (left_over[0], left_over[1]), tuple(words),
+        cells.cell, told, (*asked, *cells.parts_asked), sum(squares), (left_over[0], left_over[1]), tuple(words),
         pictures[0], pictures[1],
     )  # fmt: skip
 
@@ -198,6 +243,10 @@ class _Cells:
         middle = float(np.nanmedian(total))
         self.usable = np.isfinite(self.measured) & (self.measured > 0.0) & (total > 0.03 * middle)
         """Cells that are darker than everything else have no level to compare where no noise is annotated."""
+        self._blocks: dict[int | None, CellBlocks] = {}
+        self._covers: list[NDArray[np.bool_]] = []
+        """Cells that one declared surface fills, by surface."""
+        self._tried: list[str] = []
         self.regions = self._regions(parts)
 
     def _band(self, name: str, rows: slice) -> F64:
@@ -215,8 +264,78 @@ class _Cells:
         values.append(np.cos(np.deg2rad(self._band("ellipsoid_incidence", rows))))
         return [np.where(known, each, np.nan) for each in values]
 
-    def half(self, which: int) -> NDArray[np.bool_]:
-        return np.asarray(self._checker == which)
+    def blocks(self, half: int | None) -> CellBlocks:
+        """Of the usable cells in a half of the checkerboard, or in both."""
+        if half not in self._blocks:
+            self._blocks[half] = CellBlocks.of(self.usable if half is None else self.usable & (self._checker == half))
+        return self._blocks[half]
+
+    @property
+    def places(self) -> int:
+        """Where a part could be, by surface."""
+        return int(self.blocks(0).where.sum()) // LEAST_REGION * len(self.surfaces)
+
+    @property
+    def parts_asked(self) -> list[str]:
+        return [f"parts of {self.surfaces[k]}" for k, cover in enumerate(self._covers) if cover.any()]
+
+    def parts_off(self, chosen: list[str], x: F64) -> list[str]:
+        """Names of parts of the land cover that are off in the first half: of each surface the one that is most.
+
+        They are among `regions` until `keep` says which of them stays. Those that stayed are not asked again.
+        """
+        if not self._covers or len(self._tried) >= MOST_PARTS:
+            return []
+        ratio = self._log_ratio(chosen, x)
+        before = np.zeros(self.usable.shape, bool)
+        for name in self._tried:
+            before |= self.regions[name][1]
+        made = []
+        half = self.blocks(0)
+        scatter = CellScatter.of(ratio[half.where], half)
+        for k, cover in enumerate(self._covers):
+            part = part_in(ratio, half.where, cover & self.usable & ~before, scatter)
+            if part is not None:
+                made.append(f"part {len(self._tried) + 1} of {self.surfaces[k]}")
+                self.regions[made[-1]] = k, part
+        return made
+
+    def keep(self, name: str, parts: list[str]) -> None:
+        """Of the parts that were off now, the one that was tried, if it is one."""
+        for one in parts:
+            if one != name:
+                del self.regions[one]
+        if name in parts:
+            self._tried.append(name)
+
+    def as_declared(self, hertz: float, chosen: list[str], x: F64) -> list[str]:
+        """Parts of a region that is off which themselves are not: they leave it, and are no difference."""
+        at = dict(zip(chosen, x.tolist(), strict=True))
+        out = []
+        for name in set(chosen).intersection(self._tried):
+            of, part = self.regions[name]
+            for other in set(chosen).intersection(self.regions) - {name}:
+                k, where = self.regions[other]
+                inside = k == of and (where & part).sum() > 0.5 * part.sum()
+                if inside and DB * abs(at[name] + at[other]) < NORMAL_95 * SURFACES[self.surfaces[k]].spread_at(hertz):
+                    self.regions[other] = k, where & ~binary_dilation(part, iterations=2)
+                    out.append(name)
+                    break
+        return out
+
+    def refine(self, name: str, chosen: list[str], x: F64) -> None:
+        """Let all cells say where a part ends; those on its border are of two surfaces and are left out."""
+        k, part = self.regions[name]
+        found = refined(self._log_ratio(chosen, x), self.usable, self._covers[k] & self.usable, part)
+        if found is not None:
+            self.regions[name] = k, found[0]
+            self.usable &= ~found[1]
+            self._blocks.clear()
+
+    def _log_ratio(self, chosen: list[str], x: F64) -> F64:
+        with np.errstate(all="ignore"):
+            ratio = np.log(self.measured / self.model(chosen, x).power)
+        return np.where(self.usable, ratio, 0.0)
 
     def parts(self, moves: tuple[float, float, float]) -> tuple[list[F64], list[F64], list[F64]]:
         """beta0 of each surface in cells, and its slopes by a line and by a pixel, after moves [m] in range, azimuth
@@ -285,6 +404,7 @@ class _Cells:
         )  # fmt: skip
         for k in range(len(parts)):
             mine = (share[k] > WHOLE) & self.usable
+            self._covers.append(mine)
             numbered, count = label(mine)
             sizes = np.bincount(numbered.ravel(), minlength=count + 1)[1:]
             for number in np.flatnonzero((sizes >= LEAST_REGION) & (sizes < 0.7 * mine.sum())) + 1:
@@ -301,11 +421,47 @@ class _Cells:
         names += [f"level of {self.surfaces[k]}" for k in lit] if len(lit) > 1 else []
         return [*names, *self.regions, *MOVES, *TREND]
 
+    def starts(self, chosen: list[str], x: F64) -> dict[str, float]:
+        """Moves [m] of at least a cell after which the first half agrees best with the model; 0 where none is better.
+
+        By the correlation of logarithms; a move that was found is not looked for again.
+        """
+        if set(MOVES).intersection(chosen):
+            return {}
+        half = self.blocks(0).where
+        with np.errstate(all="ignore"):
+            y, power = np.log(self.measured), np.log(self.model(chosen, x).power)
+        power = np.where(np.isfinite(power), power, np.nanmedian(power[half]))
+
+        def best_of(tries: list[float], images: Iterable[F64]) -> float:
+            alike = [float(np.corrcoef(image[half], y[half])[0, 1]) for image in images]
+            return tries[int(np.argmax(alike))] if np.isfinite(alike).all() else 0.0
+
+        found = {}
+        cells = [float(k) for k in sorted(range(-FARTHEST, FARTHEST + 1), key=abs)]
+        for axis, name in ((0, AZIMUTH), (1, RANGE)):
+            found[name] = 0.0
+            whole = best_of(cells, (np.roll(power, int(k), axis) for k in cells))
+            if whole != 0.0:
+                per_metre = self.lines_per_metre[name] if axis == 0 else float(np.nanmean(self.pixels_per_metre[name]))
+                metres = [(whole + part) * self.cell[axis] / per_metre for part in QUARTERS]
+                found[name] = best_of(metres, (self._log_after(chosen, x, name, by) for by in metres))
+        found[HEIGHT] = -found[RANGE] / self.tilt
+        return found
+
+    def _log_after(self, chosen: list[str], x: F64, name: str, by_m: float) -> F64:
+        with np.errstate(all="ignore"):
+            return np.asarray(np.nan_to_num(np.log(self.model([*chosen, name], np.append(x, by_m)).power)))
+
     def longest_step(self, name: str) -> float:
         """Of a fit: the logarithm of a factor, or metres of a move that slopes foretell."""
         if name not in MOVES:
             return 1.5
-        return 2.0 / max(self.lines_per_metre[name], float(np.nanmax(np.abs(self.pixels_per_metre[name]))))
+        return 2.0 / self.steps_per_metre(name)
+
+    def steps_per_metre(self, name: str) -> float:
+        """Lines or pixels by which a move of a metre takes the image."""
+        return max(self.lines_per_metre[name], float(np.nanmax(np.abs(self.pixels_per_metre[name]))))
 
     def model(self, names: list[str], x: F64, also: list[str] | None = None) -> _Modelled:
         """With hypotheses at values x; derivatives by them and by others at 0."""
@@ -353,43 +509,6 @@ class _Cells:
         return grown[self.surfaces.index(name.removeprefix("level of "))]
 
 
-@dataclass(frozen=True)
-class _Scatter:
-    """Of y / mu - 1 about a model: weights of cells, variance in cells, and variance that a square has in common."""
-
-    residual: F64
-    weights: F64
-    variance: float
-    common: float
-    which: NDArray[np.intp]
-    """The square of each cell, from 0."""
-
-    @classmethod
-    def of(cls, cells: _Cells, power: F64, where: NDArray[np.bool_]) -> _Scatter:
-        e = cells.measured[where] / power[where] - 1.0
-        _, which = np.unique(cells.square[where], return_inverse=True)
-        count = np.bincount(which)
-        mean = np.bincount(which, e) / count
-        deviation = np.sqrt(_robust_variance(e))
-        far = np.abs(e - np.median(e))
-        weights = np.minimum(1.0, CAP * deviation / np.maximum(far, 1e-300))
-        within = max(_robust_variance((e - mean[which])[count[which] > 1]), 1e-12)
-        whole = count >= SQUARE**2 // 2
-        common = _robust_variance(mean[whole]) - within * float(np.mean(1.0 / count[whole])) if whole.sum() > 2 else 0.0
-        return cls(e, weights, within, max(common, 0.0), which)
-
-    def covariance(self, directions: F64) -> F64:
-        """Of the sums of residual times direction (n, k) over cells."""
-        weighted = directions * self.weights[:, None]
-        sums = np.zeros((int(self.which.max()) + 1, directions.shape[1]))
-        np.add.at(sums, self.which, weighted)
-        return np.asarray(self.variance * weighted.T @ weighted + self.common * sums.T @ sums)
-
-
-def _robust_variance(values: F64) -> float:
-    return float((1.4826 * np.median(np.abs(values - np.median(values)))) ** 2)
-
-
 def _deviance(y: F64, mu: F64) -> F64:
     ratio = y / mu
     return np.asarray(2.0 * (ratio - 1.0 - np.log(ratio)))
@@ -400,32 +519,41 @@ def _slopes(made: _Modelled, names: list[str], where: NDArray[np.bool_]) -> F64:
     return np.stack([made.by[name][where] for name in names], axis=-1) if names else np.zeros((count, 0))
 
 
-def _screened(cells: _Cells, chosen: list[str], x: F64, left: list[str], where: NDArray[np.bool_]) -> tuple[F64, F64]:
-    """The chance of each score beside the fitted model, and the correlations of the directions themselves."""
+def _screened(cells: _Cells, chosen: list[str], x: F64, left: list[str], blocks: CellBlocks) -> tuple[F64, F64]:
+    """Chi squared of each score beside the fitted model, and the correlations of the directions themselves.
+
+    Residuals are roots of the deviance: a field that is 10 dB darker is as far off as one that is 10 dB brighter. What
+    a hypothesis explains is none of the scatter that its score is held against.
+    """
     made = cells.model(chosen, x, left)
-    scatter = _Scatter.of(cells, made.power, where)
-    had, more = _slopes(made, chosen, where), _slopes(made, left, where)
-    w = scatter.weights[:, None]
+    y, mu = cells.measured[blocks.where], made.power[blocks.where]
+    residual = np.sign(y - mu) * np.sqrt(_deviance(y, mu))
+    had, more = _slopes(made, chosen, blocks.where), _slopes(made, left, blocks.where)
+    w = weights_of(residual)[:, None]
     free = more - had @ np.linalg.lstsq(had.T @ (w * had), had.T @ (w * more), rcond=None)[0]
     information, norms = free.T @ (w * free), (w * more * more).sum(axis=0)
-    variance = np.diag(scatter.covariance(free))
-    score = (w * free).T @ scatter.residual
-    alive = (np.diag(information) > 1e-6 * norms) & (variance > 0.0)
-    statistic = np.where(alive, score**2 / np.where(alive, variance, 1.0), 0.0)
-    seen = np.sqrt(np.where(alive, np.diag(information), 1.0))
-    return np.asarray(chdtrc(1.0, statistic)), information / np.outer(seen, seen) * np.outer(alive, alive)
+    score = (w * free).T @ residual
+    own = np.diag(information)
+    alive = own > 1e-6 * norms
+    statistic = np.zeros(len(left))
+    for k in np.flatnonzero(alive):
+        scatter = CellScatter.of(residual - free[:, k] * (score[k] / own[k]), blocks)
+        statistic[k] = score[k] ** 2 / float(scatter.covariance(free[:, k : k + 1])[0, 0])
+    seen = np.sqrt(np.where(alive, own, 1.0))
+    return statistic, information / np.outer(seen, seen) * np.outer(alive, alive)
 
 
-def _fitted(cells: _Cells, names: list[str], x: F64, where: NDArray[np.bool_]) -> F64:
+def _fitted(cells: _Cells, names: list[str], x: F64, blocks: CellBlocks) -> F64:
     """Values of the hypotheses: Gauss-Newton on weighted scores, halved where the deviance grows."""
     if not names:
         return x
+    where = blocks.where
     y, made = cells.measured[where], cells.model(names, x)
     for _ in range(STEPS):
-        scatter = _Scatter.of(cells, made.power, where)
-        slopes, w = _slopes(made, names, where), scatter.weights
+        residual = y / made.power[where] - 1.0
+        slopes, w = _slopes(made, names, where), weights_of(residual)
         information = slopes.T @ (w[:, None] * slopes)
-        step = np.linalg.lstsq(information, slopes.T @ (w * scatter.residual), rcond=None)[0]
+        step = np.linalg.lstsq(information, slopes.T @ (w * residual), rcond=None)[0]
         limit = np.array([cells.longest_step(name) for name in names])
         step *= min(1.0, float(np.min(limit / np.maximum(np.abs(step), 1e-300))))
         now = (w * _deviance(y, made.power[where])).sum()
@@ -438,38 +566,38 @@ def _fitted(cells: _Cells, names: list[str], x: F64, where: NDArray[np.bool_]) -
         else:
             return x
         x, made = x + step, trial
-        if gained < 1e-3 * scatter.variance:
+        if gained < 1e-3 * robust_variance(residual):
             break
     return x
 
 
 def _gain(
-    cells: _Cells, before: tuple[list[str], F64], after: tuple[list[str], F64], where: NDArray[np.bool_]
+    cells: _Cells, before: tuple[list[str], F64], after: tuple[list[str], F64], blocks: CellBlocks
 ) -> tuple[float, float]:
-    """Deviance by the variance in cells, less with the last hypothesis than without; and its standard error.
+    """Deviance by the variance of cells, less with the last hypothesis than without; and its standard error.
 
-    That is of a ratio: squares scatter about the mean gain of a cell, times the cells of each that the hypothesis
-    moves. Where a field fills few squares, that they gain and the others do not is no scatter.
+    Of a residual e about the better model mu', a cell gains 2 [(1 + e) (mu' / mu - 1) - ln (mu' / mu)].
     """
-    made = cells.model(*after)
-    powers = [cells.model(*before).power, made.power]
-    scatter = _Scatter.of(cells, powers[1], where)
-    less, more = (scatter.weights * _deviance(cells.measured[where], power[where]) for power in powers)
-    by_square = np.bincount(scatter.which, less - more) / scatter.variance
-    touched = np.bincount(scatter.which, np.abs(made.by[after[0][-1]][where]) > 0.0)
-    several, total = touched > 0, float(by_square.sum())
-    count = int(several.sum())
-    if count < LEAST_TOUCHED:
+    where, made = blocks.where, cells.model(*after)
+    powers = [cells.model(*before).power[where], made.power[where]]
+    y = cells.measured[where]
+    scatter = CellScatter.of(y / powers[1] - 1.0, blocks)
+    less, more = (scatter.weights * _deviance(y, power) for power in powers)
+    total = float((less - more).sum()) / scatter.variance
+    touched = np.unique(cells.square[where][np.abs(made.by[after[0][-1]][where]) > 0.0])
+    if touched.size < LEAST_TOUCHED:
         return total, np.inf
-    off = by_square[several] - total * touched[several] / touched.sum()
-    return total, float(np.sqrt(count / (count - 1) * (off**2).sum()))
+    by_residual = 2.0 * (powers[1] / powers[0] - 1.0)[:, None]
+    return total, float(np.sqrt(scatter.covariance(by_residual)[0, 0])) / scatter.variance
 
 
-def _standard_deviations(cells: _Cells, names: list[str], x: F64, where: NDArray[np.bool_]) -> F64:
+def _standard_deviations(cells: _Cells, names: list[str], x: F64, blocks: CellBlocks) -> F64:
     if not names:
         return np.zeros(0)
     made = cells.model(names, x)
-    scatter, slopes = _Scatter.of(cells, made.power, where), _slopes(made, names, where)
+    where = blocks.where
+    scatter = CellScatter.of(cells.measured[where] / made.power[where] - 1.0, blocks)
+    slopes = _slopes(made, names, where)
     bread = np.linalg.pinv(slopes.T @ (scatter.weights[:, None] * slopes))
     variance = np.diag(bread @ scatter.covariance(slopes) @ bread)
     return np.sqrt(np.where(variance > 0.0, variance, np.inf))  # rounding may leave what is not determined below 0

@@ -15,7 +15,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from warpsar.errors import InputError
+from warpsar.errors import NothingShownError
 from warpsar.io.bands import bands_of, in_file, release
 from warpsar.io.geotiff import AffinePlace
 from warpsar.products.product import ImagedPoint, Product, to_beta0
@@ -74,12 +74,13 @@ def simulated(
     """The layers of the part of `product` that `elevation` covers, or of `crop` of it.
 
     Layers that memory should not hold are arrays in files without a name in `scratch`, by default in the folder for
-    temporary ones. Raises InputError where the product does not show the elevation model, or a disk is too small.
+    temporary ones. Raises NothingShownError where the product does not show the elevation model, and InputError where
+    a disk is too small.
     """
     window = window_of(product, elevation, crop)
     blocks = list(blocks_of(product, elevation, window))
     if not blocks:
-        raise InputError(f"{product.source}: it shows no place of {elevation.path}; must overlap")
+        raise NothingShownError(f"{product.source}: it shows no place of {elevation.path}; must overlap")
     load_kernels(device, "terrain")
     fine = _fineness(product, elevation, window)
     rows = min(b.rows[0] for b in blocks), max(b.rows[1] for b in blocks)
@@ -101,7 +102,9 @@ def simulated(
         bar.update()
     bar.close()
     if not canvas.any_ground:
-        raise InputError(f"{product.source}: it shows no ground of {elevation.path}; must overlap where that has data")
+        raise NothingShownError(
+            f"{product.source}: it shows no ground of {elevation.path}; must overlap where that has data"
+        )
     canvas.crop_map()
     place = _part(elevation.affine, columns[0] + canvas.map_left / fine, rows[0] + canvas.map_top / fine, fine)
     return SimulatedProduct(

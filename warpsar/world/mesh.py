@@ -23,6 +23,8 @@ GLTF = (".gltf", ".glb")
 SUFFIXES = (".obj", ".ply", ".stl", *GLTF, *dem.SUFFIXES)
 # A radar scene of more than 5 km that is not a DEM is far more often a building in millimetres.
 SUSPICIOUS_EXTENT_M = 5e3
+SMOOTH_DEG = 30.0
+"""Faces that meet at less than this angle are one smooth surface; the edge between others is a wedge."""
 _TOGETHER = 1 << 16  # faces that a core looks at: some 20 arrays of three numbers each stay in its cache
 
 

@@ -235,13 +235,14 @@ class LeftOut:
     """Power of ways over one surface more than an image has: over `bounces` surfaces.
 
     `rcs_m2`: the sum over the image in `polarization`; `over`: the ratio to the bounces that the image has, infinite
-    where it has none.
+    where it has none. `takes`: whether an image can have them.
     """
 
     bounces: int
     polarization: str
     rcs_m2: float
     over: float
+    takes: bool = True
 
 
 @dataclass

@@ -193,16 +193,16 @@ def couple(
     merged: Any,
     cells: Any,
     wavenumber: float,
+    piece: wp.array,
     loosely: bool,
 ) -> dict[str, NDArray[Any]]:
     """`field`, `moment`, `even` and `loose` of `Coupled`, by group and sample: groups are those of `order` from each
-    `first` on. `loose` is 0 if it is not asked for.
+    `first` on. `loose` is 0 if it is not asked for. `piece`: areas of pieces by face (`pieces_of`).
     """
     device, count = order.device, order.shape[0]
     tubes = allocate(kernels.TubeFields, count, device)
-    wp.launch(
-        kernels.tube_kernel, count, inputs=[rays, mesh, records, cells, wavenumber], outputs=[tubes], device=device
-    )
+    inputs = [rays, mesh, records, cells, wavenumber, piece]
+    wp.launch(kernels.tube_kernel, count, inputs=inputs, outputs=[tubes], device=device)
     shape = first.shape[0], cells.offset.shape[0]
     fields: list[wp.array] = [wp.zeros(shape, dtype=wp.vec2d, device=device) for _ in range(3)]
     even: wp.array = wp.zeros(shape, dtype=wp.float64, device=device)

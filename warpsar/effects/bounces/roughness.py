@@ -93,8 +93,8 @@ def coherent_power(
     n, count = samples.coupling.shape[0], samples.first.shape[0] - 1
     received, sent = _verticals(polarization)
     amplitude, field, power = program.array(n, wp.vec2), program.array(count, wp.vec2), program.array(n)
-    ends = [int(received), paths.bounces[-1], paths.home, fields.stuff, fields.zetas[-1]]
-    inputs = [fields.radar, *ends, fields.sent(sent)]
+    ends = [int(received), int(sent), paths.bounces[-1], paths.home, fields.stuff, fields.zetas[-1]]
+    inputs = [fields.radar, *ends, fields.sent(sent), fields.sent(received)]
     program.launch(kernels.radiate_kernel, n, inputs, [amplitude])
     program.launch(kernels.sample_kernel, count, [samples.first, samples.coupling, amplitude], [field])
     program.launch(kernels.cell_power_kernel, n, [p, samples.first, samples.sample, field], [power])

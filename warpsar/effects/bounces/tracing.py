@@ -31,6 +31,7 @@ from warpsar.effects.bounces.cells import (
     samples_of,
     share,
 )
+from warpsar.effects.bounces.curved import FlatPieces, pieces_of
 from warpsar.kernels import merge as merging
 from warpsar.kernels.effects import multibounce as kernels
 from warpsar.kernels.geometry import Band, RayGrid
@@ -40,7 +41,7 @@ from warpsar.trace.hits import DEFAULT_MEMORY_GIB, BinGrid, concatenate
 from warpsar.trace.rays import ray_grid
 from warpsar.trace.target import Target
 
-_RECORD_BYTES = 260  # a record, its field, and the sort's keys and order, twice
+_RECORD_BYTES = 272  # a record, its field, and the sort's keys and order, twice
 _SEGMENT = 64  # cells of one thread on CUDA
 _FEWEST_BANDS, _MOST_BANDS = 8, 64  # on the CPU, where there is memory for them
 _RAYS_OF_BAND = 100_000  # from so many on, a launch costs little beside them
@@ -49,6 +50,7 @@ _UNSURE = 0.12  # of a bright corner's power, half a decibel: rays are too few
 _FAINTEST = 1e-3  # of a field, that a face is taken to mirror at least
 _BUDGET = 3  # times the rays of a view, that cutting may add
 _LEAST_BUDGET = 3_000_000  # rays that it may add to a small view
+_FINE = 4.0  # ray cells, below which pieces of a curved surface have no borders: a strip would be cut at many
 _STRIPS, _RAYS_OF_STRIP = 4, 90  # into which a cell at a border is cut, and rays that find where one lies and ends
 
 _ARRAYS = {n: dtype for n, dtype in element_types(kernels.PathRecords).items() if n not in ("count", "area")}
@@ -206,8 +208,9 @@ def _followed(render: Recorder, max_bounces: int, cell_m: tuple[float, float] | 
         fill(Band, first_cell=begin, end_cell=min(begin + width, last), seed=hits.seed)
         for begin in range(first, last, width)
     ]
-    planes = _kinds(render)[1]
-    sent = _path_rays(render, rays, planes, max_bounces)
+    pieces = pieces_of(*target.places_once, planes := planes_of(target))
+    planes = pieces.surfaces(planes, _FINE / hits.rays_per_m2)
+    sent = _path_rays(render, rays, planes, pieces, max_bounces)
     tasks = [partial(_band, render, sent, cells, band) for band in bands]
     traced_bands = list(threads.ordered(tasks, target.device))
     plain = [_Traced([one and _Merged(one.records, None) for one in band.of], band.area) for band in traced_bands]
@@ -436,8 +439,8 @@ class _Traced:
     area: NDArray[np.float32]
 
 
-def _path_rays(render: Recorder, rays: RayGrid, planes: NDArray[np.int64], max_bounces: int) -> Any:
-    """`kernels.PathRays` of a view."""
+def _path_rays(render: Recorder, rays: RayGrid, planes: NDArray[np.int64], pieces: FlatPieces, max_bounces: int) -> Any:
+    """`kernels.PathRays` of a view. `planes` numbers what borders lie between."""
     target, grid = render.stage.target, render.hits.grid
     return fill(
         kernels.PathRays,
@@ -446,6 +449,7 @@ def _path_rays(render: Recorder, rays: RayGrid, planes: NDArray[np.int64], max_b
         columns=fill(kernels.ImageColumns, start=grid.start_m[1], spacing=grid.spacing_m[1], count=grid.shape[1]),
         tree=target.bvh.id,
         plane=wp.array(planes, dtype=int, device=target.device),
+        piece=wp.array(pieces.mirrors(), dtype=float, device=target.device),
         max_bounces=max_bounces,
         size=float(np.linalg.norm(np.ptp(target.corners, axis=0))),
     )
@@ -477,7 +481,7 @@ def _band(render: Recorder, followed: Any, cells: Any, band: Any, cut: NDArray[n
             )
         count = int(records.count.numpy()[0])
         if count <= capacity:
-            couples = partial(_coupled, render, rays, cells, cut is None)
+            couples = partial(_coupled, render, followed, cells, cut is None)
             of: list[_Merged | None] = [None] * (max_bounces - 1)
             if count:
                 of = _merge(records, count, max_bounces, couples)
@@ -495,7 +499,7 @@ def _records(capacity: int, device: wp.Device) -> kernels.PathRecords:
 
 def _coupled(
     render: Recorder,
-    rays: RayGrid,
+    followed: Any,
     cells: Any,
     loosely: bool,
     records: Any,
@@ -506,8 +510,8 @@ def _coupled(
     """Fields of merged paths by sample, and the rays that they are of; None without cells."""
     if cells is None:
         return None
-    mesh, wavenumber = render.stage.target.triangles, render.hits.geometry.wavenumber
-    fields = couple(rays, mesh, records, order, first, merged, cells, wavenumber, loosely)
+    rays, wavenumber = followed.grid, render.hits.geometry.wavenumber
+    fields = couple(rays, followed.mesh, records, order, first, merged, cells, wavenumber, followed.piece, loosely)
     middle = records.ray.numpy()[order.numpy()][:, :2].astype(float)
     start, step = (rays.azimuth_start, rays.elevation_start), (rays.azimuth_step, rays.elevation_step)
     cell = np.floor((middle - start) / step).astype(np.int64)
@@ -521,7 +525,7 @@ def _merge(records: kernels.PathRecords, count: int, max_bounces: int, couples: 
     order = wp.empty(2 * count, dtype=int, device=device)
     key = wp.empty(2 * count, dtype=wp.int64, device=device)
     wp.launch(merging.number_kernel, count, outputs=[order], device=device)
-    for what in (2, 1, 0) if max_bounces > 2 else (1, 0):
+    for what in range((max_bounces + 1) // 2, -1, -1):
         wp.launch(kernels.sort_key_kernel, count, inputs=[records, order, what], outputs=[key], device=device)
         wp.utils.radix_sort_pairs(key, order, count, 0, 64)
     start, rank = (wp.empty(count, dtype=int, device=device) for _ in range(2))
