@@ -83,7 +83,7 @@ def content_of(result: HeldOut) -> dict[str, Any]:
             "views_after": result.after,
             "predictions": [asdict(row) for row in summaries(result.images)],
         },
-        "glints": [asdict(one) for one in on_bodies(result.final)],
+        "placed_glints": [asdict(one) for one in on_bodies(result.final)],
         "effects": dict(without_aims(result.final).effects),
         "materials": {
             name: one.model_dump(exclude_unset=True, mode="json", warnings=False)

@@ -17,7 +17,7 @@ import numpy as np
 from warpsar.compare.aim import BOUND, FAINTEST, LEAST, Reach, mean_deviance, own_shift
 from warpsar.diagnosis.held_out.geometry import bodies
 from warpsar.diagnosis.held_out.model import TrainViews
-from warpsar.effects.glints import ALL_ROUND_DEG, Glint, lobe
+from warpsar.effects.glints import ALL_ROUND_DEG, EFFECT, Glint, lobe
 from warpsar.effects.registry import declared, response_of
 from warpsar.kernels.codes import Polarization
 from warpsar.runtime.deadline import check
@@ -26,6 +26,7 @@ from warpsar.speckle.likelihood import best_gain, bounded
 from warpsar.world.objects.pose import rotation
 from warpsar.world.world import geometry_of
 
+NAME = EFFECT.name
 FEWEST_VIEWS = 18  # train views from which on azimuths are many
 STEP_M = (0.25, 0.25, 0.5)  # between places that are tried: east, north, up
 BEYOND_M = 0.2  # the body's extent
@@ -210,6 +211,11 @@ def found_in_all(trained: TrainViews, scene: Scene, count: int) -> list[Glint]:
     return merged(part.found)
 
 
+def glints_of(rows: Sequence[Sequence[float]]) -> list[Glint]:
+    """The glints whose rows these are."""
+    return [Glint.of(row) for row in rows]
+
+
 def merged(glints: Sequence[Glint]) -> list[Glint]:
     """Those of one place and one lobe as one."""
     sums: dict[tuple[tuple[float, float, float], float, float], float] = {}
@@ -221,7 +227,7 @@ def merged(glints: Sequence[Glint]) -> list[Glint]:
 
 def on_bodies(scene: Scene) -> list[PlacedGlint]:
     """The scene's glints on its bodies, the strongest first."""
-    table = scene.effects.get("glints", {})
+    table = scene.effects.get(NAME, {})
     placed = []
     for one in (Glint.of(row) for row in table.get("points", [])):
         rcs_m2 = one.rcs_m2 * float(table.get("strength", 0.0))
@@ -314,4 +320,4 @@ def _images(trained: TrainViews, scene: Scene, names: Sequence[str]) -> list[_Im
 def with_glints(scene: Scene, glints: Sequence[Glint]) -> Scene:
     """The scene with the effect, which no fit moves."""
     table = {"strength": 1.0, "fixed": True, "points": [one.row for one in glints]}
-    return replace(scene, effects={**scene.effects, "glints": table})
+    return replace(scene, effects={**scene.effects, NAME: table})

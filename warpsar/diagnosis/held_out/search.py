@@ -40,7 +40,8 @@ from warpsar.diagnosis.held_out.geometry import (
     turnable,
     turned,
 )
-from warpsar.diagnosis.held_out.glints import FEWEST_VIEWS, found_by_parts, found_in_all, with_glints
+from warpsar.diagnosis.held_out.glints import FEWEST_VIEWS, found_by_parts, found_in_all, glints_of, with_glints
+from warpsar.diagnosis.held_out.glints import NAME as GLINTS
 from warpsar.diagnosis.held_out.hypotheses import EffectHypothesis, hypotheses, level_of
 from warpsar.diagnosis.held_out.model import (
     FitRays,
@@ -51,7 +52,6 @@ from warpsar.diagnosis.held_out.model import (
 )
 from warpsar.diagnosis.models.change import as_declared
 from warpsar.diagnosis.run_log import RunLog
-from warpsar.effects.glints import Glint
 from warpsar.effects.registry import declared, get, response_of
 from warpsar.runtime import console, threads
 from warpsar.runtime.deadline import TimeUp, check, deadline
@@ -67,7 +67,6 @@ GEOMETRY = "sizes and angles"
 FRONT_ERRORS = 2.0  # standard errors by which a body predicts better than turned round, where its front is told
 CERTAIN = 4.0  # standard errors from which on it is not asked again
 EXPLAINED = 2.0  # standard errors above the deviance of speckle, within which nothing else is left
-GLINTS = "glints"
 BOXED = "a box of its size"
 RIVALS = "whether the body turned round, or a box of its size, predicts as well"
 BEATEN = "a box of its size predicts as well"
@@ -564,13 +563,10 @@ class FoldSearch:
         if len(self.order) < FEWEST_VIEWS or not bodies(self.start) or GLINTS in scenes[0].effects:
             return
 
-        def search() -> tuple[list[list[Glint]], int]:
-            return found_by_parts(self.trained, scenes, self.folds)
-
         found, count = self._log.following(
-            search,
+            partial(found_by_parts, self.trained, scenes, self.folds),
             lambda found: {"points": [[one.row for one in part] for part in found[0]], "count": found[1]},
-            lambda entry: ([[Glint.of(row) for row in part] for part in entry["points"]], entry["count"]),
+            lambda entry: ([glints_of(part) for part in entry["points"]], entry["count"]),
         )
         if not count:
             self.steps.append(TrialStep(GLINTS, 0.0, 0.0, 0.0, False))
