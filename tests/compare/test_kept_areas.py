@@ -9,7 +9,7 @@ import pytest
 from effect_worlds import street, with_effect
 from learning_scenes import measured
 
-from warpsar.compare import modelled
+from warpsar.compare import comparison, modelled
 from warpsar.compare.comparison import compare
 from warpsar.compare.modelled import KeptAreas
 from warpsar.runtime import devices
@@ -70,3 +70,26 @@ def test_a_view_is_found_once_and_the_oldest_go(monkeypatch: pytest.MonkeyPatch,
     assert len(made) == 2 * views
     compare(scene, CPU, kept=kept)
     assert len(made) == 3 * views
+
+
+def test_the_density_of_rays_is_chosen_once_for_effects_of_any_numbers(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """It depends on which effects send rays, on the views and on the grid; a model of other numbers shares it."""
+    scene = measured(street(), tmp_path)
+    chosen: list[int] = []
+    choose = comparison.choose_density
+
+    def counted(*given: Any, **named: Any) -> Any:
+        chosen.append(1)
+        return choose(*given, **named)
+
+    monkeypatch.setattr(comparison, "choose_density", counted)
+    kept = KeptAreas()
+    for strength in (1.0, 0.5):
+        compare(with_effect(scene, "multibounce", {"strength": strength}), CPU, kept=kept)
+    assert len(chosen) == 1
+    compare(with_effect(scene, "multibounce", {"strength": 1.0}), CPU, kept=KeptAreas())
+    assert len(chosen) == 2
+    compare(scene, CPU, kept=kept)  # exact areas alone have no noise of rays
+    assert len(chosen) == 2

@@ -107,6 +107,15 @@ def test_changes_are_named_by_what_differs() -> None:
 
 
 @pytest.mark.unit
+def test_a_mesh_of_another_size_has_a_height_in_metres() -> None:
+    """The hut of the mesh is 2.5 m high."""
+    values = object_size.CHANGE.values(true_scene(), true_scene(**HIGHER), "hut", {"scale": [1.0, 1.0, 1.3]}, None)
+    assert values["height_m"] == pytest.approx(3.25)
+    assert values["declared_height_m"] == pytest.approx(2.5)
+    assert "height_m" not in object_size.CHANGE.values(true_scene(), true_scene(**HIGHER), "hut", {}, None)
+
+
+@pytest.mark.unit
 @pytest.mark.parametrize("taken", ["views.azimuth_deg", "views.v1.azimuth_deg"])
 def test_whatever_is_offered_beside_a_turn_keeps_its_name(taken: str) -> None:
     """A turn of all views and one of a single view's same angle would leave angles that have neither's name."""

@@ -208,6 +208,26 @@ def test_a_surface_that_was_dragged_away_comes_back_from_the_declared_one(floor:
     assert onward.log_likelihood < best.log_likelihood - 3.0
 
 
+def test_a_fit_that_cannot_reach_what_stands_is_given_up(floor: tuple[FitSetup, Scene]) -> None:
+    """A fit far from its end is given up too, by its pace alone: those that get a limit start from a fitted model."""
+    setup, scene = floor
+
+    def started(**surface: float) -> Scene:
+        cube = scene.materials["cube"].model_copy(update=surface)
+        return replace(scene, materials={**scene.materials, "cube": cube})
+
+    far, near = (
+        started(eps_r=40.0, rms_height_m=2e-4),
+        started(rms_height_m=1.02 * scene.materials["cube"].rms_height_m),
+    )
+    whole = refit_as(setup, far)
+    given_up = refit_as(setup, far, limit=whole.log_likelihood + 1e5)
+    assert given_up.iterations == GLANCE < whole.iterations
+    whole = refit_as(setup, near)
+    within_reach = refit_as(setup, near, limit=whole.log_likelihood)
+    assert (within_reach.log_likelihood, within_reach.iterations) == (whole.log_likelihood, whole.iterations)
+
+
 # What is dropped
 
 

@@ -12,6 +12,7 @@ from learning_scenes import speckle
 from worlds import BRICK, SOIL, ground, mesh_of, scene_of, view
 
 from warpsar.differentiable.geometry import exact_images, image_slopes
+from warpsar.effects.bounces import tracing
 from warpsar.effects.registry import validate
 from warpsar.errors import InputError
 from warpsar.learning.command import run
@@ -19,10 +20,12 @@ from warpsar.learning.geometry import Geometry
 from warpsar.learning.glints import with_glints
 from warpsar.learning.options import LearnOptions
 from warpsar.learning.pose import (
+    FEW_RAYS,
     DenseQuadratic,
     PosedProblem,
     _lower,
     _shortened,
+    exact_rays,
     foretold_gain,
     render_elsewhere,
     without_shading,
@@ -226,6 +229,36 @@ def test_rough_changes_are_those_of_single_bounces() -> None:
     (more,), (less,) = (one.modelled(one.x0) for one in (rough, single))
     assert (more > 1.5 * less).any()
     np.testing.assert_allclose(changed * more[:, None], expected * less[:, None], rtol=1e-5, atol=1e-9)
+
+
+def test_searches_on_blurred_images_send_few_rays_and_cut_no_corners(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A search on blurred images asks for pixels' means alone; what is compared has all rays, and finer corners."""
+    scene = measured(scene_with(BOX, sides=SIDES[:1], shape=48, learn=("position",)))
+    table = validate("multibounce", {"strength": 1.0, "fixed": True}, "effects.multibounce")
+    bounced = replace(scene, effects={"multibounce": table})
+    plain = FitProblem(scene, CPU, rays=ExactRays(Stage.of(scene, CPU)))
+    pixels = {one.view.name: list(one.observations) for one in plain.views}
+    cut: list[int] = []
+    cuts = tracing._cuts
+
+    def counted(*given: Any) -> Any:
+        cut.append(1)
+        return cuts(*given)
+
+    monkeypatch.setattr(tracing, "_cuts", counted)
+    levels = []
+    for forward, expected in ((True, 0), (False, 1)):
+        problem = PosedProblem(bounced, CPU, pixels, held=True, forward=forward)
+        levels.append(float(problem.modelled(problem.x0)[0].sum()))
+        assert len(cut) == expected
+        assert problem.by_rays
+    # an eighth of 64 rays for each of some hundred pixels along the walls: 1 / sqrt(800), twice
+    assert levels[0] == pytest.approx(levels[1], rel=0.07)
+    assert not PosedProblem(scene, CPU, pixels, held=True).by_rays
+    stage = Stage.of(bounced, CPU)
+    few, every = (exact_rays(bounced, stage, coarse=coarse) for coarse in (True, False))
+    assert few.rays_per_m2 == pytest.approx(FEW_RAYS * bounced.sampling.density_per_m2(bounced.grid))
+    assert every.rays_per_m2 == bounced.sampling.density_per_m2(bounced.grid)
 
 
 def test_views_left_out_begin_with_the_changes_of_all() -> None:

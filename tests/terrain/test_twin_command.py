@@ -96,6 +96,30 @@ def test_pixels_lie_on_the_same_grid(tmp_path: Path) -> None:
     assert level == pytest.approx((0.5 - 4.0 * 1.5 / 200.0**2) * ratio, rel=0.01)
 
 
+@pytest.mark.parametrize(("units", "said"), [("m", "m"), ("us-ft", "US_survey_foot"), ("km", "1000 m")])
+def test_axes_of_the_map_have_the_unit_of_its_coordinate_system(tmp_path: Path, units: str, said: str) -> None:
+    """A transverse Mercator map of 61 x 61 posts of 20 m, with level ground."""
+    import rasterio
+
+    import warpsar
+    from warpsar.terrain import map_dataset
+
+    pytest.importorskip("xarray")
+    step = 20.0 / {"m": 1.0, "us-ft": 1200.0 / 3937.0, "km": 1000.0}[units]
+    path = tmp_path / "map.tif"
+    with rasterio.open(
+        path, "w", driver="GTiff", width=61, height=61, count=1, dtype="float32",
+        crs=f"+proj=tmerc +lat_0=46 +lon_0=12 +datum=WGS84 +units={units}",
+        transform=rasterio.transform.from_origin(-30.5 * step, 30.5 * step, step, step),
+    ) as file:  # fmt: skip
+        file.write(flat(61).astype(np.float32), 1)
+    found = warpsar.twin(product(tmp_path), path, geoid_offset_m=0.0, device="cpu")
+    data = map_dataset(found)
+    assert data["x"].attrs["units"] == data["y"].attrs["units"] == said
+    assert abs(float(data["x"].mean())) < step  # the site is in the middle
+    assert abs(float(data["y"].mean())) < step
+
+
 def test_a_zip_archive_must_be_unpacked(tmp_path: Path) -> None:
     archive = tmp_path / "scene.zip"
     with zipfile.ZipFile(archive, "w") as file:

@@ -58,6 +58,28 @@ def test_heights_without_a_place(tmp_path: Path) -> None:
     assert line == f"Error: {model}: found no place of its heights (no geotransform); must have one"
 
 
+def test_rows_askew_have_no_axes_for_netcdf(tmp_path: Path) -> None:
+    """GeoTIFF says such a place, so nothing is refused there."""
+    import rasterio
+
+    pytest.importorskip("h5netcdf")
+    pytest.importorskip("xarray")
+    model = dem(tmp_path, flat(9))
+    with rasterio.open(model, "r+") as file:
+        file.transform = file.transform * file.transform.rotation(20.0)
+    safe = product(tmp_path)
+    line = refused(tmp_path, safe, model, "--geoid-offset", 0, "--format", "netcdf")
+    assert line == (
+        f"Error: {model}: found rows askew to the axes of its coordinate system; must run along them for --format "
+        "netcdf; warp it (gdalwarp does), or take --format geotiff"
+    )
+    done = CliRunner().invoke(
+        main,
+        ["twin", *map(str, (safe, "--dem", model, "--geoid-offset", 0, "-o", tmp_path / "out", "--device", "cpu"))],
+    )
+    assert done.exit_code == 0, done.output
+
+
 def test_an_orbit_that_ends_before_the_image(tmp_path: Path) -> None:
     safe = changed(
         product(tmp_path), r"(<orbitList[^>]*>(?:\s*<orbit>.*?</orbit>){2}).*</orbitList>", r"\1</orbitList>"

@@ -48,8 +48,40 @@ def observe(
 
     `thin` leaves out rows that say nothing new: about `per_direction` stay for an independent direction.
     """
-    seen = [_observe(world, curve, cache, device, per_direction if thin else None) for curve in world.curves]
+    swept = _Swept(cache, device)
+    seen = [_observe(world, curve, swept, per_direction if thin else None) for curve in world.curves]
     return _leveled(seen, world)
+
+
+class _Swept:
+    """Sweeps of one scene. Curves of the same body, directions and frequency share one: it has every polarization."""
+
+    def __init__(self, cache: Path | None, device: str | None) -> None:
+        self._cache, self._device = cache, device
+        self._made: dict[tuple[Any, ...], Amplitudes] = {}
+
+    def amplitudes(
+        self,
+        world: World,
+        azimuth_deg: NDArray[np.float64],
+        incidence_deg: float,
+        frequency_hz: float,
+        bandwidth_hz: float,
+        mesh: Path | None,
+    ) -> Amplitudes:
+        """As the function of this name; `mesh` is the file of the body, None of the scene's own."""
+        key = mesh, azimuth_deg.tobytes(), incidence_deg, frequency_hz, bandwidth_hz
+        if key not in self._made:
+            self._made[key] = amplitudes(
+                world,
+                azimuth_deg,
+                incidence_deg,
+                frequency_hz,
+                cache=self._cache,
+                device=self._device,
+                bandwidth_hz=bandwidth_hz,
+            )
+        return self._made[key]
 
 
 def _leveled(seen: list[ObservedCurve], world: World) -> list[ObservedCurve]:
@@ -67,7 +99,7 @@ def _leveled(seen: list[ObservedCurve], world: World) -> list[ObservedCurve]:
     ]
 
 
-def _observe(world: World, curve: Curve, cache: Path | None, device: str | None, most: float | None) -> ObservedCurve:
+def _observe(world: World, curve: Curve, swept: _Swept, most: float | None) -> ObservedCurve:
     table = curve.rows()
     if curve.mesh is not None:
         mesh = read_mesh(curve.mesh)
@@ -91,26 +123,18 @@ def _observe(world: World, curve: Curve, cache: Path | None, device: str | None,
     )
     bare = bare if most is None else bare.thinned(most)
     bandwidth = 0.0 if curve.profiles is None else curve.profiles.bandwidth_hz
-    return bare.beside(_terms(world, bare, cache, device, bandwidth))
+    return bare.beside(_terms(world, bare, swept, bandwidth, curve.mesh))
 
 
 def _terms(
-    world: World, one: ObservedCurve, cache: Path | None, device: str | None, bandwidth_hz: float
+    world: World, one: ObservedCurve, swept: _Swept, bandwidth_hz: float, mesh: Path | None
 ) -> dict[str, NDArray[np.complex128]]:
     """The terms in the curve's directions; those of one incidence are found together."""
     found: dict[str, NDArray[np.complex128]] = {}
     for incidence in np.unique(one.incidence_deg):
         rows = np.flatnonzero(one.incidence_deg == incidence)
         azimuth, place = np.unique((one.azimuth_deg[rows] + 180.0) % 360.0 - 180.0, return_inverse=True)
-        made = amplitudes(
-            world,
-            azimuth,
-            float(incidence),
-            one.frequency_hz,
-            cache=cache,
-            device=device,
-            bandwidth_hz=bandwidth_hz,
-        )
+        made = swept.amplitudes(world, azimuth, float(incidence), one.frequency_hz, bandwidth_hz, mesh)
         for name, term in made.of(one.polarization).items():
             found.setdefault(name, np.zeros(len(one.azimuth_deg), np.complex128))[rows] = term[place]
     return found

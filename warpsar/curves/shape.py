@@ -14,6 +14,8 @@ from warpsar.curves.noise import fit
 from warpsar.curves.observed import ObservedCurve
 
 CONFIDENCE = 0.95
+TWICE_LOG_LIMIT = float(chdtri(1, 1.0 - CONFIDENCE))
+"""By how much 2 ln L falls from its peak to the ends of an interval."""
 
 
 @dataclass(frozen=True)
@@ -52,12 +54,11 @@ def profiles(axes: Mapping[str, NDArray[np.float64]], twice_log: NDArray[np.floa
     ends, and a parabola through three points for the peak. Where the profile jumps from point to point, since tubes
     change with the shape, the interval is wider by two standard deviations of such a difference.
     """
-    limit = float(chdtri(1, 1.0 - CONFIDENCE))
     found = {}
     for number, (name, axis) in enumerate(axes.items()):
         profile = twice_log.max(axis=tuple(k for k in range(twice_log.ndim) if k != number))
         peak, top = _peak(axis, profile)
-        level = top - limit - 2.0 * np.sqrt(2.0) * jump(profile)
+        level = top - TWICE_LOG_LIMIT - 2.0 * np.sqrt(2.0) * jump(profile)
         inside = np.flatnonzero(profile >= level)
         if not len(inside):  # the parabola's peak stands over all points
             inside = np.array([int(profile.argmax())])

@@ -61,6 +61,11 @@ class AffinePlace:
     crs: Any
     affine: Any
 
+    @property
+    def askew(self) -> bool:
+        """Whether rows and columns do not run along the axes of the coordinate system."""
+        return bool(self.affine.b != 0.0 or self.affine.d != 0.0)
+
 
 if TYPE_CHECKING:
     from rasterio import DatasetReader

@@ -14,7 +14,8 @@ beside a body's shape. learned_objects: poses in `learn`.
 object_figures: objects before and after. term: the learned term of a material's sigma0, from images.
 table: its table of sigma0, from images, with a figure. device_values: what both are fitted
 by. metrics: how well the images of a fit agree. trust: do the intervals hold, and what did a fit make worse?
-curves: permittivities from measured curves of RCS. results: what was learned, as a scene. command: `warpsar learn`.
+curve_likelihood: what measured curves of RCS say of numbers. curves: materials from them.
+results: what was learned, as a scene. command: `warpsar learn`.
 profiles: intervals of a few parameters by profile likelihood.
 """
 

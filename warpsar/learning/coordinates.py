@@ -16,7 +16,7 @@ from warpsar.learning.device_values import DeviceValues
 from warpsar.parameters.parameter import Parameter
 from warpsar.scene.scene import Scene
 from warpsar.surface.surface import KINDS, Surface
-from warpsar.world.tables import View
+from warpsar.world.tables import OF_STACKS, View
 
 
 @dataclass(frozen=True)
@@ -79,6 +79,12 @@ class SceneCoordinates:
     """
 
     def __init__(self, scene: Scene, chosen: Sequence[View], values: DeviceValues | None = None) -> None:
+        for name, material in scene.materials.items():
+            if of_curves := [key for key in material.learn if key in OF_STACKS]:
+                raise InputError(
+                    f"{scene.name}: materials.{name}.learn: found {', '.join(of_curves)}; an image of power does not "
+                    f"depend on it, so it is learned from curves of RCS alone, in a scene without images"
+                )
         self.scene, self.chosen, self.values = scene, chosen, values or DeviceValues()
         self.surface = Surface.of(scene)
         self.learned = self.surface.learned

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property, partial
 from typing import Any, Generic, TypeVar
 
@@ -36,6 +36,10 @@ TURN = (-360.0, 360.0)
 STEEPEST = (1.0, 89.0)
 """Least and largest incidence of a fit [deg]."""
 POSE = ("position", "heading", "pitch", "roll")
+THICKNESS, FILLING = (1e-7, 100.0), (0.01, LARGEST_OF_LAYER)
+"""Ends of a fit of a layer: its thickness [m], and a permittivity or permeability."""
+CONTRAST = (1.01, 300.0)
+"""Ends of a fit of a permittivity over 1, as of a surface."""
 
 
 class Parameters(Mapping[str, P], Generic[P]):
@@ -111,15 +115,12 @@ def _of_materials(world: World) -> Iterator[Parameter]:
                 yield _surface(world, name, material, kind)
         if material.thickness_m is not None:
             read = partial(getattr, material, "thickness_m")
-            yield Parameter("materials", name, "thickness_m", "m", 0.0, 100.0, read, derivatives=AMPLITUDE)
+            yield _of_a_stack(name, material, "thickness_m", read)
         for number, layer in enumerate(material.layers):
             for key in ("eps_r", "mu_r", "thickness_m"):
                 stated = getattr(layer, key)
                 read = partial(float, stated[0] if isinstance(stated, tuple) else stated)
-                unit, high = ("m", 100.0) if key == "thickness_m" else ("1", LARGEST_OF_LAYER)
-                yield Parameter(
-                    *("materials", name, f"layers.{number}.{key}", unit, 0.0, high, read), derivatives=AMPLITUDE
-                )
+                yield _of_a_stack(name, material, f"layers.{number}.{key}", read)
         if material.sigma0 is not None:
             for polarization, column in sigma0_table.read(material.sigma0).sigma0_db.items():
                 yield Parameter(
@@ -129,6 +130,20 @@ def _of_materials(world: World) -> Iterator[Parameter]:
                     freed=TABLE in material.learn,
                     derivatives=POWER,
                 )
+
+
+def _of_a_stack(name: str, material: Material, key: str, read: Callable[[], float]) -> Parameter:
+    """A value of the layers of a material. A permittivity over 1 has the coordinate of a surface's."""
+    thick = key.endswith("thickness_m")
+    unit, high, bounds = ("m", 100.0, THICKNESS) if thick else ("1", LARGEST_OF_LAYER, FILLING)
+    contrast = key.endswith("eps_r") and read() >= CONTRAST[0]
+    return Parameter(
+        *("materials", name, key, unit, 0.0, high, read),
+        transform=Transform("contrast" if contrast else "log"),
+        fit_bounds=CONTRAST if contrast else bounds,
+        freed=key in material.learn,
+        derivatives=AMPLITUDE,
+    )
 
 
 def _surface(world: World, name: str, material: Material, kind: Kind) -> Parameter:

@@ -84,8 +84,11 @@ def say_device(device: wp.Device) -> None:
     say(f"device: {device.alias} ({where})")
 
 
-def progress(total: int, what: str, unit: str = "it") -> tqdm[NoReturn]:
-    """A tqdm bar on stderr. It is silent where stderr is no terminal, and for work that ends within a second."""
+def progress(total: int | None, what: str, unit: str = "it") -> tqdm[NoReturn]:
+    """A tqdm bar on stderr, which counts where there is no total.
+
+    It is silent where stderr is no terminal, and for work that ends within a second.
+    """
     hidden = True if quiet() or not is_first() else None
     return tqdm(total=total, desc=what, unit=unit, file=sys.stderr, disable=hidden, delay=DELAY_S, leave=False)
 

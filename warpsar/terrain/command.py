@@ -222,6 +222,9 @@ def run(
     _refuse(surface, crop, radiometry, polarization)
     views = {name: _stated(one, radiometry) for name, one in _opened(product, polarization, file_format).items()}
     ground = _Ground.read(dem, surface, landcover, landcover_table, buildings, crop, geoid_offset_m)
+    for one in formats:
+        if one in files.EXTRAS:
+            files.refuse_askew(ground.elevation, f"--format {one}")
     shown, refused = ground.shown_in(views)
     settings = {
         "crop": crop,

@@ -56,7 +56,9 @@ def map_figure(found: SimulatedProduct) -> Figure:
     affine, crs = found.map_place.affine, found.map_place.crs
     rows, columns = next(iter(found.map.values())).shape
     ends = (affine.c, affine.c + columns * affine.a, affine.f + rows * affine.e, affine.f)
-    if crs.is_geographic:
+    if found.map_place.askew:
+        ends, labels, aspect = (0.0, columns, rows, 0.0), ("column", "row"), 1.0
+    elif crs.is_geographic:
         labels, aspect = ("longitude [deg]", "latitude [deg]"), 1.0 / np.cos(np.deg2rad(0.5 * (ends[2] + ends[3])))
     else:
         labels, aspect = (f"east [{crs.linear_units}]", f"north [{crs.linear_units}]"), 1.0

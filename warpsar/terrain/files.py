@@ -13,10 +13,12 @@ from uuid import uuid4
 
 import numpy as np
 
+from warpsar.errors import InputError
 from warpsar.io.bands import bands_of, release
-from warpsar.io.geotiff import write_cog
+from warpsar.io.geotiff import AffinePlace, write_cog
 from warpsar.io.images import replacing
 from warpsar.runtime.extra import Extra
+from warpsar.terrain.elevation import Elevation
 from warpsar.terrain.layers import Layer, of_image, of_map
 from warpsar.terrain.result import SimulatedProduct
 from warpsar.version import __version__
@@ -32,6 +34,8 @@ EXTRAS = {
 CHUNK = 512
 """Lines and pixels of a piece of NetCDF and Zarr."""
 PLACE = ("longitude", "latitude", "height")
+UNITS = {"metre": "m", "US survey foot": "US_survey_foot", "foot": "international_foot"}
+"""Of maps: as coordinate systems and as UDUNITS name them."""
 
 
 def facts(found: SimulatedProduct) -> dict[str, Any]:
@@ -55,6 +59,15 @@ def facts(found: SimulatedProduct) -> dict[str, Any]:
         "pixels": found.pixels,
         "software": f"warpsar {__version__}",
     }
+
+
+def refuse_askew(elevation: Elevation, what: str) -> None:
+    """Raise InputError for a map that has no axes along which places could be told."""
+    if AffinePlace(elevation.crs, elevation.affine).askew:
+        raise InputError(
+            f"{elevation.path}: found rows askew to the axes of its coordinate system; must run along them for {what}; "
+            "warp it (gdalwarp does), or take --format geotiff"
+        )
 
 
 def writers(found: SimulatedProduct, out: Path, file_format: str) -> dict[str, Callable[[], None]]:
@@ -164,6 +177,7 @@ def image_dataset(found: SimulatedProduct) -> xarray.Dataset:
 def map_dataset(found: SimulatedProduct) -> xarray.Dataset:
     """Layers on the map, along `y` and `x`, with a grid mapping `spatial_ref` as CF and rioxarray know it."""
     EXTRAS["netcdf"].require("map_dataset:")
+    refuse_askew(found.elevation, "map_dataset")
 
     place = found.map_place
     rows, columns = next(iter(found.map.values())).shape
@@ -179,7 +193,11 @@ def map_dataset(found: SimulatedProduct) -> xarray.Dataset:
         ("x", columns, affine.a, affine.c, "longitude" if geographic else "projection_x_coordinate"),
         ("y", rows, affine.e, affine.f, "latitude" if geographic else "projection_y_coordinate"),
     )
-    unit = {"x": "degree_east", "y": "degree_north"} if geographic else {"x": "m", "y": "m"}
+    if geographic:
+        unit = {"x": "degree_east", "y": "degree_north"}
+    else:
+        name, metres = place.crs.linear_units_factor
+        unit = dict.fromkeys("xy", UNITS.get(name, f"{metres:.17g} m"))
     axes = {
         name: ((name,), start + step * (np.arange(count) + 0.5), {"standard_name": kind, "units": unit[name]})
         for name, count, step, start, kind in kinds

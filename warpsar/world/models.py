@@ -74,7 +74,7 @@ def _not_learned(model: BackscatterModel, learn: Sequence[str]) -> Iterator[str]
         yield f"learn: found {', '.join(learn)}; {TABLE} is learned alone"
     allowed = (*model.keys, TABLE) if model.from_table else model.keys
     for key in learn:
-        if key not in (*allowed, TERM, TABLE):
+        if key not in (*allowed, TERM, TABLE, "thickness_m") and not key.startswith("layers."):
             yield (
                 f"learn: found {key}; sigma0 of the model {model.name} does not depend on it; "
                 f"allowed: {', '.join(allowed)}"

@@ -33,6 +33,11 @@ DEFAULT_RAYS_PER_PIXEL = 64.0
 LARGEST_OF_LAYER = 1e6
 """Of a layer's permittivity or permeability: a film of carbon has some thousands."""
 MOST_LAYERS = 8
+OF_STACKS = (
+    "thickness_m",
+    *(f"layers.{k}.{key}" for k in range(MOST_LAYERS) for key in ("eps_r", "mu_r", "thickness_m")),
+)
+"""What a fit to curves of RCS may learn of a stack; a power image does not depend on it."""
 
 Polarization = Literal["HH", "HV", "VH", "VV"]
 Term = Literal["single", "edges", "multibounce", "rough", "transmission", "edge_waves"]
@@ -71,7 +76,7 @@ if TYPE_CHECKING:
 else:
     ModelName = Literal[registry.names()]
     SurfaceKey = Literal[SURFACE_KEYS]
-    LearnedKey = Literal[(*SURFACE_KEYS, models.TERM, models.TABLE)]
+    LearnedKey = Literal[(*SURFACE_KEYS, models.TERM, models.TABLE, *OF_STACKS)]
 
 FileName = Annotated[Path, BeforeValidator(_file_name)]
 
@@ -428,7 +433,9 @@ class Material(_WithOwn):
     learn: tuple[LearnedKey, ...] = Field(
         default=("eps_r", "rms_height_m", "correlation_length_m"),
         description="The values that a fit may change; by default the first three, as far as the model has them. "
-        '["learned_term"] trains the term, and holds the others; ["sigma0"] does so with a table\'s values.',
+        '["learned_term"] trains the term, and holds the others; ["sigma0"] does so with a table\'s values. '
+        "From curves of RCS alone also thickness_m, and values of layers, as "
+        "layers.0.mu_r.",
         examples=[["eps_r"]],
     )
     tolerance: dict[SurfaceKey, Any] = Field(
@@ -492,6 +499,16 @@ class Material(_WithOwn):
             raise ValueError("layers: found other ones from behind; in air they must read the same from both ends")
         return self
 
+    @model_validator(mode="after")
+    def _of_its_stack(self) -> Material:
+        for key in OF_STACKS:
+            if key in self.learn and key not in self.stacked:
+                allowed = (
+                    f"allowed are {', '.join(self.stacked)}" if self.stacked else "it has no thickness_m or layers"
+                )
+                raise ValueError(f"learn: found {key}, which the material does not state; {allowed}")
+        return self
+
     @property
     def stack(self) -> tuple[MaterialLayer, ...]:
         """The layers from the outermost one inward; of a half-space and of a bare conductor none."""
@@ -499,6 +516,13 @@ class Material(_WithOwn):
             return self.layers
         eps: Any = self.eps_r
         return (MaterialLayer(eps_r=eps, thickness_m=self.thickness_m),)
+
+    @property
+    def stacked(self) -> list[str]:
+        """The keys of `OF_STACKS` that it states."""
+        if self.thickness_m is not None:
+            return ["thickness_m"]
+        return [key for key in OF_STACKS[1:] if layer_of(key)[0] < len(self.layers)]
 
     def alike(self, number: int) -> set[int]:
         """The numbers in `layers` of those that are one layer with this one: in air its mirror image, too."""

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import ClassVar
+from typing import Any, ClassVar
+
+import numpy as np
 
 from warpsar.diagnosis.geometry.base.body import MovedBody
 from warpsar.diagnosis.geometry.base.change import GeometryCandidate
 from warpsar.diagnosis.models.change import BodyDifference
 from warpsar.diagnosis.models.movable import size_word
+from warpsar.learning.pose_search import FoundPoses
+from warpsar.scene.scene import Scene
 from warpsar.world.objects.table import Learnable, Object
 
 SAME_IMAGES = 3.0  # of ln L: two readings of one body that differ by less explain the images alike
@@ -30,6 +35,17 @@ class ObjectSize(MovedBody):
     def words(self, one: Object) -> tuple[Learnable, ...]:
         return (size_word(one),)
 
+    def values(
+        self, declared: Scene, scene: Scene, label: str, first: Mapping[str, Any], posed: FoundPoses | None
+    ) -> dict[str, Any]:
+        """Factors on a mesh say little of a building: its height [m] stands beside them, and the declared one."""
+        found = super().values(declared, scene, label, first, posed)
+        height = _mesh_height_m(scene, label)
+        if "scale" not in found or height is None:
+            return found
+        up = [next((one.scales[2] for one in each.objects if one.label == label), 1.0) for each in (scene, declared)]
+        return {**found, "height_m": height * up[0], "declared_height_m": height * up[1]}
+
     def one_reading(self, found: list[GeometryCandidate]) -> list[GeometryCandidate]:
         """A body that is sunk looks as one that is lower. Where both explain the images alike they are one hypothesis,
         which has the name of its size and says the other reading."""
@@ -43,6 +59,15 @@ class ObjectSize(MovedBody):
         words = [f"{mine.object}: the same images come from {one.reading}" for one in found if alike(one)]
         with_readings = replace(mine, words=[*mine.words, *words])
         return [with_readings if one is mine else one for one in found if not alike(one)]
+
+
+def _mesh_height_m(scene: Scene, label: str) -> float | None:
+    """From the foot to the top of a group of the scene's mesh, as the file has it; None for other bodies."""
+    group = next((one.group for one in scene.objects if one.label == label), None)
+    base = None if scene.assembly is None else scene.assembly.base
+    if base is None or group is None:
+        return None
+    return float(np.ptp(base.vertices[base.faces[base.groups[group]]][..., 2]))
 
 
 CHANGE = ObjectSize()

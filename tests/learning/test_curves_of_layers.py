@@ -1,0 +1,127 @@
+"""Layers learned from curves of RCS: values where curves tell them, products where they tell those alone."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import warpsar
+from warpsar import Scene
+from warpsar.cli.main import main
+from warpsar.errors import InputError
+from warpsar.learning.coordinates import SceneCoordinates
+from warpsar.world.frame import SPEED_OF_LIGHT
+
+Stack = Sequence[tuple[complex, complex, float]]  # eps_r, mu_r, thickness_m from the outermost one inward
+PHI = np.arange(0.0, 60.0, 0.5)
+PLATE = "usemtl sheet\nv 0 -.08 -.05\nv 0 .08 -.05\nv 0 .08 .05\nv 0 -.08 .05\nf 1 2 3\nf 1 3 4\n"
+
+
+def reflection(stack: Stack, metal: bool, frequency_hz: float, across: bool, sin: np.ndarray) -> np.ndarray:
+    """A stack's coefficient by the impedance that one layer hands to the next (Ramo, Whinnery, Van Duzer, ch. 6):
+    `across` with E across the plane of incidence, as in VV of an upright plate in a level sweep."""
+    k = 2.0 * np.pi * frequency_hz / SPEED_OF_LIGHT
+    cos = np.sqrt(1.0 - sin**2)
+    air = 1.0 / cos if across else cos
+    load = np.zeros_like(sin, complex) if metal else air.astype(complex)
+    for eps, mu, thickness in reversed(stack):
+        root = np.sqrt(eps * mu - sin**2 + 0j)
+        own = mu / root if across else root / eps
+        turn = 1j * np.tan(k * thickness * root)
+        load = own * (load + own * turn) / (own + load * turn)
+    return (load - air) / (load + air)
+
+
+def curves_of(folder: Path, stack: Stack, metal: bool, frequencies: Sequence[float], noise: float) -> list[str]:
+    """CSV files of an upright plate in metal times the stack's coefficient, with noise relative to the peak."""
+    (folder / "plate.obj").write_text(PLATE)
+    plate = _scene(folder, [], "conductor = true", "")
+    random, tables = np.random.default_rng(5), []
+    for frequency in frequencies:
+        bare = warpsar.rcs(plate, 90.0 - PHI, 90.0, [frequency], device="cpu")
+        sin = np.sin(np.deg2rad(PHI))
+        for place, polarization in enumerate(("HH", "VV")):
+            gain = reflection(stack, metal, frequency, polarization == "VV", sin)
+            field = np.sqrt(4 * np.pi) * bare.amplitude_m[:, 0, 0, place] * gain
+            spread = noise * np.abs(field).max() / np.sqrt(2)
+            field = field + spread * (random.normal(size=PHI.size) + 1j * random.normal(size=PHI.size))
+            lines = [f"{frequency},90,{a},{10 * np.log10(abs(v) ** 2)}" for a, v in zip(PHI, field, strict=True)]
+            name = f"{polarization}{frequency / 1e9:g}.csv"
+            (folder / name).write_text("\n".join(["frequency_hz,theta_deg,phi_deg,rcs_dbsm", *lines]))
+            tables.append(f'[[curves]]\nfile = "{name}"\npolarization = "{polarization}"\nrole = "train"\n')
+    return tables
+
+
+def _scene(folder: Path, tables: Sequence[str], material: str, learn: str) -> Scene:
+    (folder / "scene.toml").write_text(
+        '[scene]\nmesh = "plate.obj"\n[radar]\nfrequency_hz = 10e9\npolarizations = ["HH", "VV"]\nterms = ["single"]\n'
+        f"[materials.sheet]\n{material}\nrms_height_m = 0.0\n{learn}\n{''.join(tables)}"
+    )
+    return Scene.load(folder / "scene.toml")
+
+
+def learned(folder: Path, tables: Sequence[str], material: str, learn: str) -> dict[str, Any]:
+    _scene(folder, tables, material, f"learn = {learn}")
+    done = CliRunner().invoke(main, ["learn", str(folder / "scene.toml"), "-o", str(folder / "out"), "--device", "cpu"])
+    assert done.exit_code == 0, done.output
+    return dict(json.loads((folder / "out" / "learn.json").read_text())["materials"])
+
+
+def holds(found: dict[str, Any], truth: float) -> bool:
+    low, high = found["interval_95"]
+    return bool(low < truth < high)
+
+
+@pytest.mark.full
+def test_a_thin_sheet_tells_its_product_alone(tmp_path: Path) -> None:
+    """A sixtieth of a wavelength: the field that it sends back goes with (eps_r - 1) x thickness, up to the next order
+    in the thickness."""
+    tables = curves_of(tmp_path, [(3.0, 1.0, 5e-4)], False, [10e9], 1e-2)
+    found = learned(tmp_path, tables, "eps_r = 2.0\nthickness_m = 8e-4", '["eps_r", "thickness_m"]')
+    assert holds(found["sheet.(eps_r - 1) x thickness_m"], 1e-3)
+    assert holds(found["sheet.eps_r"], 3.0)
+    assert holds(found["sheet.thickness_m"], 5e-4)
+    wide = {key: np.divide(*one["interval_95"][::-1]) for key, one in found.items()}
+    assert wide["sheet.(eps_r - 1) x thickness_m"] < 1.5
+    assert wide["sheet.eps_r"] > 20.0
+    assert wide["sheet.thickness_m"] > 20.0
+
+
+@pytest.mark.full
+def test_a_slab_tells_both_of_its_values(tmp_path: Path) -> None:
+    """About half a wavelength: another valley of the likelihood, of 6.9 mm, lies nearer to the start."""
+    tables = curves_of(tmp_path, [(3.0, 1.0, 9e-3)], False, [8e9, 11e9], 1e-2)
+    found = learned(tmp_path, tables, "eps_r = 2.5\nthickness_m = 8e-3", '["eps_r", "thickness_m"]')
+    truths = {"sheet.eps_r": 3.0, "sheet.thickness_m": 9e-3, "sheet.(eps_r - 1) x thickness_m": 18e-3}
+    assert found.keys() == truths.keys()
+    for key, truth in truths.items():
+        assert holds(found[key], truth)
+        assert found[key]["value"] == pytest.approx(truth, rel=0.02)
+
+
+@pytest.mark.slow
+def test_an_absorber_on_metal_tells_its_values(tmp_path: Path) -> None:
+    tables = curves_of(tmp_path, [(6.0 - 1.0j, 1.6 - 0.9j, 2e-3)], True, [6e9, 10e9, 14e9], 1e-2)
+    stack = "conductor = true\nlayers = [{eps_r = [5.0, -1.0], mu_r = [1.8, -0.9], thickness_m = 1.7e-3}]"
+    found = learned(tmp_path, tables, stack, '["layers.0.eps_r", "layers.0.mu_r", "layers.0.thickness_m"]')
+    truths = {"eps_r": 6.0, "mu_r": 1.6, "thickness_m": 2e-3, "mu_r x thickness_m": 3.2e-3}
+    assert found.keys() == {f"sheet.layers.0.{key}" for key in truths}
+    for key, truth in truths.items():
+        assert holds(found[f"sheet.layers.0.{key}"], truth)
+        assert found[f"sheet.layers.0.{key}"]["value"] == pytest.approx(truth, rel=0.1)
+
+
+def test_layers_are_refused_where_nothing_tells_them(tmp_path: Path) -> None:
+    (tmp_path / "plate.obj").write_text(PLATE)
+    slab = "eps_r = 2.0\nthickness_m = 8e-4"
+    with pytest.raises(InputError, match=r"learn: found layers.0.mu_r, which the material does not state; allowed are"):
+        _scene(tmp_path, [], slab, 'learn = ["layers.0.mu_r"]')
+    with pytest.raises(InputError, match="learn: found thickness_m, which the material does not state; it has no"):
+        _scene(tmp_path, [], "eps_r = 2.0", 'learn = ["thickness_m"]')
+    scene = _scene(tmp_path, [], slab, 'learn = ["thickness_m"]')
+    with pytest.raises(InputError, match=r"materials.sheet.learn: found thickness_m; an image of power does not"):
+        SceneCoordinates(scene, [])
