@@ -101,7 +101,7 @@ def drawn(number: int, attempt: int) -> Combination:
     random = np.random.default_rng([number, attempt])
     scene = list(SCENES)[number % len(SCENES)]
     many = 2 + number // len(SCENES) % 2
-    seen = [name for name in names() if not get(name).of_phase]
+    seen = [name for name in names() if not (get(name).of_phase or get(name).of_left_out)]
     chosen = sorted(random.choice(len(seen), many, replace=False))
     effects = {seen[k]: strength(seen[k], random, SCENES[scene]()) for k in chosen}
     return Combination(number, scene, effects, int(random.choice(LOOKS)), str(random.choice(KINDS)), {}, attempt)

@@ -72,7 +72,9 @@ class Case:
         return {*self.effects, *([self.geometry] if self.geometry else [])}
 
 
-SINGLE: dict[str, dict[str, Any]] = {name: get(name).rate_case for name in names() if not get(name).of_phase}
+SINGLE: dict[str, dict[str, Any]] = {
+    name: get(name).rate_case for name in names() if not (get(name).of_phase or get(name).of_left_out)
+}
 CASES: dict[str, Case] = {
     "none": Case(),
     **{name: Case({name: table}) for name, table in SINGLE.items()},

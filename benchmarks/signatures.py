@@ -25,7 +25,6 @@ from warpsar.diagnosis.models.refit import Fitted
 from warpsar.diagnosis.scores.templates import with_effect
 from warpsar.diagnosis.turn.signature import signature
 from warpsar.effects.base.signature import Signature
-from warpsar.effects.registry import names
 from warpsar.runtime import devices
 from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import Rays
@@ -62,7 +61,7 @@ def main(draws: int, first: int, out: Path, device: str) -> None:
     """Outcomes of every effect's own test on right names."""
     out.mkdir(parents=True, exist_ok=True)
     counts: Counter[str] = Counter()
-    for name in names():
+    for name in rates.SINGLE:
         for looks in rates.LOOKS:
             for seed in range(first, first + draws):
                 found = one_draw(name, looks, seed, device, out)

@@ -16,6 +16,7 @@ from warpsar.diagnosis.held_out.arcs import folds
 from warpsar.diagnosis.held_out.azimuths import counted
 from warpsar.diagnosis.held_out.box import as_box
 from warpsar.diagnosis.held_out.geometry import TURNED, WIDE, beyond_mesh, likeliest, minimum, numbers, profiled
+from warpsar.diagnosis.held_out.glints import found_by_parts, found_in_all, merged, on_bodies, with_glints
 from warpsar.diagnosis.held_out.model import TrainViews, scene_content, scene_of
 from warpsar.diagnosis.held_out.report import judgement, sentence
 from warpsar.diagnosis.held_out.search import (
@@ -30,6 +31,7 @@ from warpsar.diagnosis.held_out.search import (
     held_out,
 )
 from warpsar.diagnosis.run_log import RunLog, open_run_log
+from warpsar.effects.glints import Glint
 from warpsar.errors import InputError
 from warpsar.measured.chips import import_chips
 from warpsar.runtime import devices
@@ -87,14 +89,14 @@ def views(count: int, role: str = "train", first_deg: float = 0.0) -> str:
     )
 
 
-def measured(folder: Path, *, height_m: float = 2.0, floor: float = 0.004, count: int = 12) -> Scene:
+def measured(folder: Path, *, height_m: float = 2.0, floor: float = 0.004, count: int = 12, more: str = "") -> Scene:
     """`count` train views and six test views of a box with a noise floor, each shifted by up to three pixels, of one
     look."""
     path = folder / "scene.toml"
     path.write_text(SCENE + views(count) + views(6, "test", 7.0))
     declared = Scene.load(path)
     (folder / "true.toml").write_text(
-        path.read_text().replace("2.5, 2.0]", f"2.5, {height_m}]") + f"[effects.noise_floor]\nlevel = {floor}\n"
+        path.read_text().replace("2.5, 2.0]", f"2.5, {height_m}]") + f"[effects.noise_floor]\nlevel = {floor}\n" + more
     )
     random = np.random.default_rng(1)
     images = simulate(Scene.load(folder / "true.toml"), device="cpu", seed=5)
@@ -349,6 +351,7 @@ def test_fronts_are_asked_at_the_first_sizes_and_at_the_end(tmp_path: Path, monk
         for name, stub in {
             "_turn": turn,
             "_ask_fronts": fronts,
+            "_ask_glints": lambda: None,
             "_meet_box": box,
             "_geometry": lambda offsets: offsets,
             "_asked_again": lambda model: model,
@@ -571,3 +574,41 @@ def test_detail_beyond_the_mesh_ends_a_body(tmp_path: Path) -> None:
     assert found["detailed"] == pytest.approx({"body.height": 0.0, "body.width": end_m, "body.length": end_m})
     shares = {"body.upward": 0.0, "body.across": end_m / 2.5, "body.along": end_m / 5.0}
     assert found["meshed"] == pytest.approx(shares)
+
+
+# ---- glints
+
+
+GLINT = Glint((0.75, 1.5, 1.2), 40.0, 60.0, 0.5)
+
+
+def test_a_glint_is_found_where_it_lies(tmp_path: Path) -> None:
+    """A point of -3 dBsm with a wide lobe on a box, in 18 views of one look; nobody declared it. It is found first, to
+    a pixel and a step of places, with its lobe, at 0.6 of its cross-section, to half a step of levels (3.2 dB). Views
+    left out pay for it."""
+    more = f"[effects.glints]\nstrength = 1.0\npoints = [{GLINT.row}]\n"
+    scene = measured(tmp_path, count=18, more=more)
+    declared = replace(scene, effects={**scene.effects, "noise_floor": {"level": 0.004}})
+    trained = TrainViews(declared, devices.resolve_device("cpu"))
+    (first,) = found_in_all(trained, trained.scene, 1)
+    assert (
+        np.abs(np.subtract(first.place_m, GLINT.place_m)).max() < 0.55
+    )  # 0.3 m of a pixel and 0.25 m; a foot of height
+    assert abs((first.azimuth_deg - GLINT.azimuth_deg + 180.0) % 360.0 - 180.0) <= 40.0
+    assert first.half_width_deg in (40.0, 80.0)
+    assert -6.0 < 10.0 * np.log10(first.rcs_m2 / GLINT.rcs_m2) < 1.5
+
+    found, count = found_by_parts(trained, [trained.scene] * 3, folds(trained.views, 3))
+    assert count >= 1
+    assert [len(part) for part in found] <= [count] * 3
+
+    (listed,) = on_bodies(with_glints(trained.scene, [first]))
+    assert listed.body == "body"
+    assert listed.place_m == pytest.approx(first.place_m, abs=0.01)  # the body stands upright in the middle
+    assert listed.rcs_dbsm == pytest.approx(10.0 * np.log10(first.rcs_m2), abs=0.06)
+
+
+def test_glints_of_one_place_and_lobe_are_one() -> None:
+    twice = merged([GLINT, replace(GLINT, azimuth_deg=50.0), replace(GLINT, rcs_m2=0.25)])
+    assert twice == [replace(GLINT, rcs_m2=0.75), replace(GLINT, azimuth_deg=50.0)]
+    assert Glint.of(GLINT.row) == replace(GLINT, rcs_m2=pytest.approx(0.5, rel=2e-3))

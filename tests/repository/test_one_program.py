@@ -15,6 +15,7 @@ pytestmark = pytest.mark.unit
 EFFECTS = {
     "registration": {"effects.aim_point"},  # it moves a single view as that does
     "aim_point": {"compare.aim"},  # which finds the shifts that a table leaves open
+    "glints": {"diagnosis.held_out.glints"},  # which finds their places in what views leave
     "multibounce": {"coherent", "world.tables"},  # a term of the complex engine, which is called so, too
     "noise_floor": {"learning.pose_pixels"},  # images on a floor, and blurred, for places: these two make both
     "phase_error": {"diagnosis.phase.declared"},  # which asks complex images for it

@@ -12,6 +12,7 @@ import numpy as np
 
 from warpsar.compare.aim import without_aims
 from warpsar.compare.prediction import Advantage, summaries
+from warpsar.diagnosis.held_out.glints import on_bodies
 from warpsar.diagnosis.held_out.report import front_words, judgement, sentence, write_report
 from warpsar.diagnosis.held_out.search import HeldOut, held_out
 from warpsar.diagnosis.run_log import open_run_log
@@ -82,6 +83,7 @@ def content_of(result: HeldOut) -> dict[str, Any]:
             "views_after": result.after,
             "predictions": [asdict(row) for row in summaries(result.images)],
         },
+        "placed_glints": [asdict(one) for one in on_bodies(result.final)],
         "effects": dict(without_aims(result.final).effects),
         "materials": {
             name: one.model_dump(exclude_unset=True, mode="json", warnings=False)

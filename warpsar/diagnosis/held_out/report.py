@@ -14,6 +14,7 @@ from scipy.ndimage import uniform_filter
 from warpsar.compare.aim import Reach
 from warpsar.compare.comparison import ratio_db
 from warpsar.compare.prediction import THEN, measured_of, predicted, summaries
+from warpsar.diagnosis.held_out.glints import PlacedGlint, on_bodies
 from warpsar.diagnosis.held_out.search import BOXED, FRONT_ERRORS, HeldOut, TrialStep
 from warpsar.evaluation.report_parts import beta0_rgb, image_axes, reach_db, residual_rgb, residual_scale
 from warpsar.evaluation.report_prediction import prediction_table
@@ -98,6 +99,7 @@ def write_report(
         _pictures(result, device),
         _steps(result),
         *_profiles(result),
+        *_glints(on_bodies(result.final)),
         _folds(result),
         report.reproduce(
             content, command, "Beside this file: diagnosis.json (all numbers), scene.toml (the model at the end)."
@@ -216,6 +218,29 @@ def _profiles(result: HeldOut) -> list[str]:
     )
     head = ("number", "known", "found", "unit")
     return [report.section("Sizes and angles", report.paragraph(sentences), report.table(head, rows))]
+
+
+def _glints(glints: Sequence[PlacedGlint]) -> list[str]:
+    if not glints:
+        return []
+    rows = [
+        [
+            one.body,
+            *(f"{place:+.2f}" for place in one.place_m),
+            "all round" if one.aspect_deg is None else f"{one.aspect_deg:.0f}",
+            "" if one.aspect_deg is None else f"{one.half_width_deg:.0f}",
+            f"{one.rcs_dbsm:.1f}",
+        ]
+        for one in glints
+    ]
+    sentences = (
+        "Places that return more than the model says, the strongest first: what on the body is this? The place is in "
+        "the body's own frame: across to its right, along to its front, up. The aspect is the radar's azimuth in the "
+        "middle of the lobe, clockwise from the front; half is left at the half width. A place is known to about a "
+        "cell of resolution, and its height less well. With free gains the level is relative to the scene's surfaces."
+    )
+    head = ("body", "across [m]", "along [m]", "up [m]", "aspect [deg]", "half width [deg]", "level [dBsm]")
+    return [report.section("Glints", report.paragraph(sentences), report.table(head, rows))]
 
 
 def _folds(result: HeldOut) -> str:

@@ -4,7 +4,7 @@ The train views are left out in parts (`arcs.py`). A model is one scene for each
 is the gamma deviance of every view by the model that has not seen it. A trial stays if its gain, less its standard
 error over the views, is above the noise: what a fit with nothing new gains on other rays and with as many iterations
 more, its mean and one standard error. At the end every effect is left out once more: it stays if it is worth two
-standard errors, for what came early may only have stood in for what came later.
+standard errors, for what came early may only have stood in for what came later. Glints of the body are asked last.
 
 A body meets its rivals before any lead is claimed: itself turned round, and a box of its size, each fitted in the same
 way. They are asked once its sizes were first moved, so that a run of little time has an answer, and again at the end.
@@ -40,6 +40,8 @@ from warpsar.diagnosis.held_out.geometry import (
     turnable,
     turned,
 )
+from warpsar.diagnosis.held_out.glints import FEWEST_VIEWS, found_by_parts, found_in_all, glints_of, with_glints
+from warpsar.diagnosis.held_out.glints import NAME as GLINTS
 from warpsar.diagnosis.held_out.hypotheses import EffectHypothesis, hypotheses, level_of
 from warpsar.diagnosis.held_out.model import (
     FitRays,
@@ -202,6 +204,7 @@ class FoldSearch:
         self._faced: Model | None = None  # the model that the bodies turned round were asked beside
         self._fronts: dict[str, TrialStep] = {}
         self._box_held: list[str] | None = None
+        self._glints = 0  # taken, if they stay
         self._doing = ""
         self.not_asked: list[str] = []  # what a limit of time left out, in words
         self.ended = ""  # why, before every effect was asked
@@ -240,7 +243,7 @@ class FoldSearch:
         models = {"model": model.scenes, "before": first.scenes}
         if boxed is not None and met is not None:
             models |= {BOX: boxed.scenes} | ({} if met is model else {THEN: met.scenes})
-        final = self.fits.fitted(model.scenes[0], self.trained.names, LAST).scene
+        final = self._of_all_views(model)
         return HeldOut(
             scene=self.trained.whole,
             declared=self.trained.finished(first.scenes[0]),
@@ -285,6 +288,7 @@ class FoldSearch:
             self._ask_fronts()
         self._doing = "the gain of each effect at the end"
         self._model = self._asked_again(self._model)
+        self._ask_glints()
         if self._met is not self._model:
             self._meet_box()
         if self._ahead_of_box():
@@ -550,6 +554,36 @@ class FoldSearch:
                 step = replace(step, gain=-step.gain)
             self._fronts[label] = step
         self._faced = self._model
+
+    def _ask_glints(self) -> None:
+        """Glints of the bodies, in each part by its own train views. All else is held, as where sizes are moved: a
+        fit bounds the loss of bright pixels, so it does not tell how strong glints are."""
+        self._doing = GLINTS
+        scenes = self._model.scenes
+        if len(self.order) < FEWEST_VIEWS or not bodies(self.start) or GLINTS in scenes[0].effects:
+            return
+
+        found, count = self._log.following(
+            partial(found_by_parts, self.trained, scenes, self.folds),
+            lambda found: {"points": [[one.row for one in part] for part in found[0]], "count": found[1]},
+            lambda entry: ([glints_of(part) for part in entry["points"]], entry["count"]),
+        )
+        if not count:
+            self.steps.append(TrialStep(GLINTS, 0.0, 0.0, 0.0, False))
+            self._say()
+            return
+        moved = [with_glints(scene, some) for scene, some in zip(scenes, found, strict=True)]
+        scores = self._scored_moved(moved, lambda scene: scene)
+        if self._judged(GLINTS, self._model, scores, refitted=False):
+            self._glints, self._model = count, Model(moved, scores)
+
+    def _of_all_views(self, model: Model) -> Scene:
+        """The model fitted to all train views, with as many glints as they pay for, found in all of them."""
+        scene = model.scenes[0]
+        if self._glints:
+            scene = Added(GLINTS).taken_from(scene)
+        whole = self.fits.fitted(scene, self.trained.names, LAST).scene
+        return with_glints(whole, found_in_all(self.trained, whole, self._glints)) if self._glints else whole
 
     def _meet_box(self) -> None:
         """Hold the model against itself with every body as a box."""

@@ -126,6 +126,8 @@ def _grouped(
 def _candidate(name: str, found: list[TemplateGroup], alone: float) -> Candidate:
     if get(name).last_resort:
         return Candidate(name, "absent", note="the last resort, where no named effect explains the residual")
+    if get(name).of_left_out:
+        return Candidate(name, "absent", note="asked of views that are left out alone (--folds)")
     if not found:
         return Candidate(name, "absent", note="this scene has no place for it")
     eta = max(float(one.eta.max()) for one in found)

@@ -56,6 +56,7 @@ class Effect:
         False  # traces ways over several surfaces: one fit of it costs as much as many others
     )
     last_resort: ClassVar[bool] = False  # can do what named effects do: none of the candidates of a search
+    of_left_out: ClassVar[bool] = False  # its places come from what images leave: `diagnose --folds` looks for it
     of_phase: ClassVar[bool] = False  # power cannot tell it: `diagnose` asks complex images
     of_numbers: ClassVar[bool] = False  # how a product wrote power as numbers: not searched where the product says it
     beyond_mesh: ClassVar[bool] = False  # stands for detail that stands out from the mesh, and ends a body

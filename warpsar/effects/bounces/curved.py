@@ -44,7 +44,7 @@ def pieces_of(vertices: NDArray[np.float64], corners: NDArray[np.integer], plane
     plane."""
     of = bodies_of(np.asarray(corners, np.int64), planes) - 1
     p0, p1, p2 = (vertices[corner] for corner in corners.T)
-    area = np.bincount(of, 0.5 * np.linalg.norm(np.cross(p1 - p0, p2 - p0), axis=1))
+    area = np.bincount(of, 0.5 * np.linalg.norm(np.cross(p1 - p0, p2 - p0), axis=1)).astype(np.float64)
     ends = np.sort(np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]]), axis=1)
     face, apex = np.tile(np.arange(len(corners)), 3), np.concatenate([corners[:, k] for k in (2, 0, 1)])
     order = np.lexsort((ends[:, 1], ends[:, 0]))
