@@ -115,6 +115,18 @@ def test_an_absorber_on_metal_tells_its_values(tmp_path: Path) -> None:
         assert found[f"sheet.layers.0.{key}"]["value"] == pytest.approx(truth, rel=0.1)
 
 
+@pytest.mark.full
+def test_a_value_that_the_curves_do_not_show_has_no_narrow_interval(tmp_path: Path) -> None:
+    """Behind a film that nothing passes, 46 nepers thick, mu_r may be anything."""
+    film = 1.0 - 1e5j, 1.0, 1e-3
+    tables = curves_of(tmp_path, [film, (3.0, 1.5, 2e-3)], True, [10e9], 1e-2)
+    layers = "{eps_r = [1.0, -1e5], thickness_m = 1e-3}, {eps_r = 3.0, mu_r = 1.5, thickness_m = 2e-3}"
+    found = learned(tmp_path, tables, f"conductor = true\nlayers = [{layers}]", '["layers.1.mu_r"]')
+    low, high = found["sheet.layers.1.mu_r"]["interval_95"]
+    assert found["sheet.layers.1.mu_r"]["open"]
+    assert high > 100.0 * low
+
+
 def test_layers_are_refused_where_nothing_tells_them(tmp_path: Path) -> None:
     (tmp_path / "plate.obj").write_text(PLATE)
     slab = "eps_r = 2.0\nthickness_m = 8e-4"

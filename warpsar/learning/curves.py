@@ -130,9 +130,9 @@ class LearnedCurves:
 def learn_from_curves(scene: Scene, cache: Path, device: str | None = None) -> LearnedCurves:
     """Fit what materials name in `learn` to the train curves: `eps_r`, `thickness_m`, and values of `layers`.
 
-    Each value is sought on a grid of its own, twice around, and then all are fitted together. Intervals are those of
+    A start is sought on grids (`_Fit.sought`), from which all values are fitted together. Intervals are those of
     profiles, beside which the other values are fitted along. Where curves tell a product alone, as of a thin sheet
-    (eps_r - 1) x thickness, the two values run into the ends of what is allowed, and the product does not.
+    (eps_r - 1) x thickness, the intervals of its two factors are wide, and the product has a narrow one.
     Raises InputError where there is nothing to learn or to learn it from.
     """
     if not any(curve.role == "train" for curve in scene.curves):
@@ -255,7 +255,8 @@ class _Fit:
         """
         every = np.arange(best.size)
         _, information = self._slopes(best, every)
-        sd = float(np.sqrt(max(np.linalg.pinv(information)[place, place], 0.0)))
+        variance = float(np.linalg.pinv(information)[place, place])
+        sd = np.sqrt(variance) if variance > 0.0 else np.inf  # 0 where the curves say nothing of the value
         others = np.delete(every, place)
         along = np.eye(best.size)[place]
         along[others] = -_solved(information[np.ix_(others, others)], information[others, place], DAMPED)

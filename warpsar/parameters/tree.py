@@ -12,6 +12,7 @@ import numpy as np
 
 from warpsar.effects.base.fitted import is_fitted
 from warpsar.effects.registry import get
+from warpsar.models.base.parameters import EPS_R
 from warpsar.parameters.parameter import Layout, Parameter, Product
 from warpsar.surface.surface import Kind, kinds_of
 from warpsar.world import sigma0_table
@@ -38,8 +39,8 @@ STEEPEST = (1.0, 89.0)
 POSE = ("position", "heading", "pitch", "roll")
 THICKNESS, FILLING = (1e-7, 100.0), (0.01, LARGEST_OF_LAYER)
 """Ends of a fit of a layer: its thickness [m], and a permittivity or permeability."""
-CONTRAST = (1.01, 300.0)
-"""Ends of a fit of a permittivity over 1, as of a surface."""
+CONTRAST = (EPS_R.low, EPS_R.high)
+"""Ends of a fit of a permittivity over 1: those of a surface."""
 
 
 class Parameters(Mapping[str, P], Generic[P]):
