@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from warpsar import Scene, simulate
 from warpsar.cli.main import main
 from warpsar.compare.prediction import Agreement, PredictedImage, advantage, predictions, summaries
-from warpsar.diagnosis.held_out.arcs import folds
+from warpsar.diagnosis.held_out.arcs import folds, mean_and_error, over_draws
 from warpsar.diagnosis.held_out.azimuths import counted
 from warpsar.diagnosis.held_out.box import as_box
 from warpsar.diagnosis.held_out.geometry import TURNED, WIDE, beyond_mesh, likeliest, minimum, numbers, profiled
@@ -21,9 +21,11 @@ from warpsar.diagnosis.held_out.model import TrainViews, scene_content, scene_of
 from warpsar.diagnosis.held_out.report import judgement, sentence
 from warpsar.diagnosis.held_out.search import (
     BEATEN,
+    DRAWS,
     GEOMETRY,
     RIVALS,
     SEARCHED,
+    Added,
     FoldSearch,
     HeldOut,
     Model,
@@ -122,6 +124,71 @@ def test_views_are_left_out_in_arcs() -> None:
     assert [len(part) for part in parts] == [12, 12, 12]
     with pytest.raises(InputError, match="--folds 20: found 36 train views; must be 40 or more"):
         folds(some, 20)
+
+
+@pytest.mark.unit
+def test_views_of_an_arc_are_wrong_together() -> None:
+    """Nine arcs of four views with one gain for each arc: their mean is known as well as nine numbers tell it, not 36.
+    Where each view has its own, arcs say no more than views do."""
+    random = np.random.default_rng(0)
+    by_arc = random.normal(size=9)
+    mean, error = mean_and_error(np.repeat(by_arc, 4), 9)
+    assert mean == pytest.approx(by_arc.mean())
+    assert error == pytest.approx(by_arc.std(ddof=1) / 3.0)
+    own = random.normal(size=36)
+    assert mean_and_error(own)[1] == pytest.approx(own.std(ddof=1) / 6.0)
+    assert mean_and_error(own, 9)[1] >= mean_and_error(own)[1]
+
+
+@pytest.mark.unit
+def test_draws_of_rays_that_disagree_widen_the_error() -> None:
+    """A gain of 1 on one draw and of 3 on another, alike in all views: 2, to half of their difference."""
+    assert over_draws([np.full(12, 1.0), np.full(12, 3.0)], 6) == pytest.approx((2.0, 1.0))
+    gain = np.random.default_rng(0).normal(size=12)
+    assert over_draws([gain], 6) == mean_and_error(gain, 6)
+    assert over_draws([gain, gain], 6) == pytest.approx(mean_and_error(gain, 6))
+
+
+@pytest.mark.unit
+@pytest.mark.parametrize(
+    ("worth", "draws", "said"),
+    [
+        ((0.5, 0.5), 1, "stays"),
+        ((0.03, 0.03), 2, "stays"),
+        ((0.03, 0.0), 2, "cannot be told here"),
+        ((-0.005, 0.01), 2, "cannot be told here"),
+        ((-0.03, -0.03), 2, "goes"),
+    ],
+)
+def test_an_effect_is_named_where_it_is_worth_more_than_its_uncertainty(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, worth: tuple[float, ...], draws: int, said: str
+) -> None:
+    """What leaving it out costs by draws of rays, in views that scatter by 0.03: 0.5 is certain on one draw, 0.03 on
+    two is three standard errors. The same on one draw alone is not told: the other one lets it go."""
+    (tmp_path / "scene.toml").write_text(SCENE + views(12) + "[effects.noise_floor]\nlevel = 0.004\n")
+    scene = Scene.load(tmp_path / "scene.toml")
+    search = FoldSearch.__new__(FoldSearch)
+    search.folds, search.order = folds(scene.views, 2), [view.name for view in scene.views]
+    search._arcs, search._whose = 6, ""
+    scatter = 0.03 * np.tile([1.0, -1.0], 6)
+    asked: list[float] = []
+
+    def fitted(starts: list[Scene], enough: Callable[[np.ndarray], bool] = lambda scores: False) -> Model | None:
+        if "noise_floor" in starts[0].effects:
+            return Model(starts, np.full(12, 1.0))
+        asked.append(worth[len(asked)])
+        without = Model(starts, 1.0 + asked[-1] + scatter)
+        return None if enough(search._of_first(without)) else without
+
+    monkeypatch.setattr(search, "_fitted", fitted)
+    search._added = {"noise_floor": Added("noise_floor")}
+    search._glanced = {"noise_floor": (0.0, 0.0, {}, False)}
+    search.held, search.steps = ["noise_floor"], [TrialStep("noise_floor", 0.1, 0.01, 0.0, True)]
+    model = search._asked_again(Model([scene] * 2, np.full(12, 1.0)))
+    assert len(asked) == draws <= DRAWS
+    assert ("noise_floor" in search.held) is (said == "stays")
+    assert ("noise_floor" in model.scenes[0].effects) is (said == "stays")
+    assert (search._untold() == ["noise_floor"]) is (said == "cannot be told here")
 
 
 @pytest.mark.unit

@@ -70,6 +70,7 @@ def content_of(result: HeldOut) -> dict[str, Any]:
         "lead_of_box": _advantage_content(result.of_box),
         "box_found": result.box_held,
         "fronts": {label: {**asdict(step), "words": front_words(label, step)} for label, step in result.fronts.items()},
+        "not_told": result.untold,
         "not_asked": result.not_asked,
         "ended": result.ended,
         "azimuths": None if result.counting is None else {**asdict(result.counting), "words": result.counting.words},

@@ -32,6 +32,8 @@ def sentence(result: HeldOut) -> str:
     before, after = (float(np.mean(list(each.values()))) for each in (result.before, result.after))
     names = ", ".join(result.held) or "nothing"
     verdict = f"found: {names}; deviance of views left out {before:.3f} -> {after:.3f}"
+    if result.untold:
+        verdict += f"; cannot be told here: {', '.join(result.untold)}"
     if result.not_asked:
         verdict += "; the time was over before all was asked"
     if result.ended:
@@ -190,7 +192,7 @@ def _steps(result: HeldOut) -> str:
             f"{step.gain:+.4f}",
             f"{step.error:.4f}",
             f"{step.noise:.4f}" if step.noise else "",
-            "yes" if step.stays else "",
+            "yes" if step.stays else "cannot be told" if step.open else "",
         ]
         for step in result.steps
     ]
@@ -198,8 +200,9 @@ def _steps(result: HeldOut) -> str:
         "In the order in which they were tried. The gain is that of the mean deviance of the views left out, of which "
         "speckle leaves 1. A trial stays if its gain, less its standard error, is above the noise: what a fit with "
         "nothing new gains on other rays. A hypothesis that gains nothing on the first part gets no other fit. Effects "
-        "that stay are asked again at the end: each is left out once more, and goes unless it is worth two standard "
-        "errors."
+        "that stay are asked again at the end: each is left out once more, on two draws of rays where one does not "
+        "tell, and goes unless it is worth two standard errors over arcs of views and over draws. What gains less "
+        "cannot be told here: more views may."
     )
     head = ("tried", "gain of views left out", "standard error", "noise", "stays")
     return report.section("What was tried", report.paragraph(sentences), report.table(head, rows))

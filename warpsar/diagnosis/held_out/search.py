@@ -2,9 +2,10 @@
 
 The train views are left out in parts (`arcs.py`). A model is one scene for each part, fitted to the others. Its score
 is the gamma deviance of every view by the model that has not seen it. A trial stays if its gain, less its standard
-error over the views, is above the noise: what a fit with nothing new gains on other rays and with as many iterations
-more, its mean and one standard error. At the end every effect is left out once more: it stays if it is worth two
-standard errors, for what came early may only have stood in for what came later. Glints of the body are asked last.
+error over views and arcs, is above the noise: what a fit with nothing new gains on other rays and with as many
+iterations more, its mean and one standard error. At the end every effect is left out once more, on as many draws of
+rays as it takes: it stays if it is worth two standard errors over arcs and draws, for what came early may only have
+stood in for what came later. What gains less than that cannot be told here. Glints of the body are asked last.
 
 A body meets its rivals before any lead is claimed: itself turned round, and a box of its size, each fitted in the same
 way. They are asked once its sizes were first moved, so that a run of little time has an answer, and again at the end.
@@ -25,7 +26,7 @@ import warp as wp
 
 from warpsar.compare.aim import EXPECTED
 from warpsar.compare.prediction import BOX, SURE, THEN, Advantage, PredictedImage, advantage, predicted
-from warpsar.diagnosis.held_out.arcs import by_azimuth, folds
+from warpsar.diagnosis.held_out.arcs import arcs_of, by_azimuth, folds, mean_and_error, over_draws
 from warpsar.diagnosis.held_out.azimuths import Counting, counted
 from warpsar.diagnosis.held_out.box import as_box
 from warpsar.diagnosis.held_out.geometry import (
@@ -62,10 +63,11 @@ GLANCE = 3  # iterations of a first fit, on one part alone, by which the likelie
 FEW, FEWER = 10, 3  # views of that fit, and of the choice where it begins
 LAST = 6  # of the fit of all views at the end, which begins where the others ended
 PAYS = 2.0  # standard errors that an effect is worth at the end
+DRAWS = 2  # of rays, on which an effect is left out at the end, if the first does not tell
 MATTERS = 0.05  # gain of a trial from which on sizes and angles are moved beside it; after smaller ones, at the end
 GEOMETRY = "sizes and angles"
 FRONT_ERRORS = 2.0  # standard errors by which a body predicts better than turned round, where its front is told
-CERTAIN = 4.0  # standard errors from which on it is not asked again
+CERTAIN = 4.0  # standard errors from which on a front, or what an effect is worth, is not asked again
 EXPLAINED = 2.0  # standard errors above the deviance of speckle, within which nothing else is left
 BOXED = "a box of its size"
 RIVALS = "whether the body turned round, or a box of its size, predicts as well"
@@ -76,8 +78,8 @@ SEARCHED = f"{BOXED}, by a search of its own"
 @dataclass(frozen=True)
 class TrialStep:
     """One trial: its gain in the deviance of views left out (1 is what speckle leaves), with its standard error over
-    the views, the noise that it had to pass, and whether it stays. `glance`: of the first part's views alone. `again`:
-    what an effect of the model is worth at the end."""
+    views and arcs, the noise that it had to pass, and whether it stays. `glance`: of the first part's views alone.
+    `again`: what an effect of the model is worth at the end; its error has the scatter over draws of rays, too."""
 
     label: str
     gain: float
@@ -86,6 +88,13 @@ class TrialStep:
     stays: bool
     glance: bool = False
     again: bool = False
+
+    @property
+    def open(self) -> bool:
+        """Whether it goes, and may be true nonetheless: it gained, and no more than its uncertainty; or it was held
+        before, and leaving it out did no good that is sure."""
+        least = -self.error if self.again else self.error
+        return not self.stays and not self.glance and self.gain > least
 
 
 @dataclass
@@ -96,14 +105,6 @@ class Model:
     scenes: list[Scene]
     scores: np.ndarray
     again: Model | None = None
-
-    @property
-    def noise(self) -> float:
-        """What a fit with nothing new gains: its mean, if it gains, and one standard error; 0 where none was made."""
-        if self.again is None:
-            return 0.0
-        mean, error = _mean_and_error(self.scores - self.again.scores)
-        return max(mean, 0.0) + error
 
 
 @dataclass(frozen=True)
@@ -126,9 +127,10 @@ class HeldOut:
     train views. `folds` have the names of the views left out together. `before` and `after`: deviances of the views
     left out, by name, in order of azimuth. `images`: the views left out beside all that predicts them. `rivals`:
     whether there are bodies, which meet a box of their size. `fronts`: by body, its trial against itself turned round.
-    `box_held`: what the box's own search found; None where it had none. `not_asked`: what a limit of time left out.
-    `ended`: why the search ended before every effect was asked. `counting`: how azimuths are counted, where that is not
-    as they are stated; the scenes have them clockwise from the front."""
+    `box_held`: what the box's own search found; None where it had none. `untold`: effects of which the views do not
+    tell whether they are there. `not_asked`: what a limit of time left out. `ended`: why the search ended before every
+    effect was asked. `counting`: how azimuths are counted, where that is not as they are stated; the scenes have them
+    clockwise from the front."""
 
     scene: Scene
     declared: Scene
@@ -143,6 +145,7 @@ class HeldOut:
     fronts: dict[str, TrialStep] = field(default_factory=dict)
     box_held: list[str] | None = None
     held: list[str] = field(default_factory=list)
+    untold: list[str] = field(default_factory=list)
     not_asked: list[str] = field(default_factory=list)
     ended: str = ""
     counting: Counting | None = None
@@ -218,6 +221,7 @@ class FoldSearch:
         self.fits = FitRays(device)
         self.start = self.trained.scene
         self.order = [view.name for view in by_azimuth(self.trained.views)]
+        self._arcs = arcs_of(len(self.order), len(self.folds))
         self.numbers = numbers(self.start)
         self.bodies = [] if of_rival else bodies(self.start)
         self.steps: list[TrialStep] = []
@@ -258,10 +262,16 @@ class FoldSearch:
             fronts=self._fronts,
             box_held=self._box_held,
             held=list(dict.fromkeys(self.held)),
+            untold=self._untold(),
             not_asked=self.not_asked,
             ended=self.ended,
             counting=self._counting,
         )
+
+    def _untold(self) -> list[str]:
+        """The effects whose last trial told nothing."""
+        last = {one.label: one for one in self.steps if one.label in self._glanced}
+        return [label for label, one in last.items() if one.open and label not in self.held]
 
     def _search(self) -> None:
         refused: set[str] = set()
@@ -369,12 +379,19 @@ class FoldSearch:
         """A model's scores of the first part's views, in their order in the fold."""
         return model.scores[[self.order.index(name) for name in self.folds[0]]]
 
+    def _noise(self, model: Model) -> float:
+        """What a fit with nothing new gains: its mean, if it gains, and one standard error; 0 where none was made."""
+        if model.again is None:
+            return 0.0
+        mean, error = mean_and_error(model.scores - model.again.scores, self._arcs)
+        return max(mean, 0.0) + error
+
     def _judged(self, label: str, model: Model, scores: np.ndarray, *, refitted: bool = True) -> bool:
         """Whether a trial with these scores stays. One that is not `refitted` has no noise to pass."""
-        mean, error = _mean_and_error(model.scores - scores)
+        mean, error = mean_and_error(model.scores - scores, self._arcs)
         if refitted and mean > error:
             self._again(model)
-        noise = model.noise if refitted else 0.0
+        noise = self._noise(model) if refitted else 0.0
         self.steps.append(
             TrialStep(label, mean / EXPECTED, error / EXPECTED, noise / EXPECTED, bool(mean - error > noise))
         )
@@ -385,7 +402,7 @@ class FoldSearch:
 
     def _say(self) -> None:
         one = self.steps[-1]
-        verdict = "stays" if one.stays else "goes"
+        verdict = "stays" if one.stays else "cannot be told here" if one.open else "goes"
         noise = f", noise {one.noise:.4f}" if one.noise else ""
         how = ("asked again, " if one.again else "") + ("first part, " if one.glance else "")
         what = "worth to" if one.again else "gain of"
@@ -433,10 +450,11 @@ class FoldSearch:
 
     def _hopeless(self, label: str, model: Model, scores: np.ndarray) -> bool:
         """Whether the first part's views gain no more than noise by a trial, one standard error included."""
-        gain, error = _mean_and_error(self._of_first(model) - scores)
-        if gain + error > model.noise:
+        gain, error = mean_and_error(self._of_first(model) - scores)
+        noise = self._noise(model)
+        if gain + error > noise:
             return False
-        self._refuse(label, gain, error, model.noise)
+        self._refuse(label, gain, error, noise)
         return True
 
     def _asked_again(self, model: Model) -> Model:
@@ -446,27 +464,43 @@ class FoldSearch:
         for label in sorted(self._added, key=lambda one: gains[one]):
             if label not in self._added:
                 continue  # gone with its effect
-            one, full = self._added[label], self._again(model)
-
-            def enough(scores: np.ndarray, label: str = label, full: Model = full) -> bool:
-                worth, error = _mean_and_error(scores - self._of_first(full))
-                if worth > PAYS * error:
-                    self.steps.append(TrialStep(label, worth / EXPECTED, error / EXPECTED, 0.0, True, True, True))
-                return bool(worth > PAYS * error)
-
-            without = self._fitted([one.taken_from(with_other_rays(scene)) for scene in model.scenes], enough)
-            if without is not None:
-                worth, error = _mean_and_error(without.scores - full.scores)
-                stays = bool(worth > PAYS * error)
-                self.steps.append(TrialStep(label, worth / EXPECTED, error / EXPECTED, 0.0, stays, False, True))
-                if not stays:
-                    model = without
-                    gone = [each for each, more in self._added.items() if more.effect == one.effect]
-                    for each in gone if not one.keys else [label]:
-                        del self._added[each]
-                        self.held.remove(each)
+            one = self._added[label]
+            step, without = self._worth(label, one, model)
+            self.steps.append(step)
             self._say()
+            if without is not None:
+                model = without
+                gone = [each for each, more in self._added.items() if more.effect == one.effect]
+                for each in gone if not one.keys else [label]:
+                    del self._added[each]
+                    self.held.remove(each)
         return model
+
+    def _worth(self, label: str, one: Added, model: Model) -> tuple[TrialStep, Model | None]:
+        """What an effect of the model is worth: on one draw of rays where that is certain, else on `DRAWS`. The model
+        without it, where it is not surely worth something."""
+        first: list[tuple[float, float]] = []
+        found: list[np.ndarray] = []
+        without, full = None, model
+        for _ in range(DRAWS):
+            begun, full = full, self._again(full)
+
+            def enough(scores: np.ndarray, full: Model = full) -> bool:
+                first.append(mean_and_error(scores - self._of_first(full)))
+                return not found and first[-1][0] > CERTAIN * first[-1][1]
+
+            bare = self._fitted([one.taken_from(with_other_rays(scene)) for scene in begun.scenes], enough)
+            if bare is None:
+                worth, error = first[-1]
+                return TrialStep(label, worth / EXPECTED, error / EXPECTED, 0.0, True, True, True), None
+            without = without or bare
+            found.append(bare.scores - full.scores)
+            worth, error = over_draws(found, self._arcs)
+            if abs(worth) > CERTAIN * error:
+                break
+        stays = worth > PAYS * error
+        step = TrialStep(label, worth / EXPECTED, error / EXPECTED, 0.0, stays, False, True)
+        return step, None if stays else without
 
     def _level(self, model: Model) -> float:
         images = predicted(model.scenes[0], self.trained.views[:1], self.device)
@@ -492,7 +526,7 @@ class FoldSearch:
                 for surface in surfaces
             ]
             best = int(np.argmin([end.loss for end in ends]))
-            mean, error = _mean_and_error(own - self.trained.scores(ends[best].scene, ahead))
+            mean, error = mean_and_error(own - self.trained.scores(ends[best].scene, ahead))
             return mean, error, tables[0], best == 1
 
         def seen() -> list[tuple[float, float, dict[str, Any], bool]]:
@@ -610,7 +644,7 @@ class FoldSearch:
 
     def _step_of_box(self, label: str) -> None:
         assert self._met is not None
-        gain, error = _mean_and_error(self._met.scores - self._rivals[BOX].scores)
+        gain, error = mean_and_error(self._met.scores - self._rivals[BOX].scores, self._arcs)
         self.steps.append(TrialStep(label, gain / EXPECTED, error / EXPECTED, 0.0, False))
         self._say()
 
@@ -670,12 +704,8 @@ def _mean_score(model: Model) -> float:
 
 
 def _is_speckle(deviances: np.ndarray) -> bool:
-    mean, error = _mean_and_error(deviances)
+    mean, error = mean_and_error(deviances)
     return mean <= 1.0 + EXPLAINED * error
-
-
-def _mean_and_error(gain: np.ndarray) -> tuple[float, float]:
-    return float(gain.mean()), float(gain.std(ddof=1) / np.sqrt(gain.size))
 
 
 def _spread(names: Sequence[str], count: int) -> list[str]:
