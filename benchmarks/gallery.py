@@ -24,7 +24,7 @@ from warpsar.evaluation.meshview import look
 from warpsar.io.figures import new
 from warpsar.io.grey_scale import GreyScale
 from warpsar.io.images import read_channel
-from warpsar.io.quick_look import QuickLook, key_of, shades
+from warpsar.io.quick_look import QuickLook, add_bar, add_legend, shades
 from warpsar.runtime.devices import resolve_device
 from warpsar.scene.scene import Scene
 from warpsar.simulation.command import run
@@ -32,6 +32,8 @@ from warpsar.simulation.rays import covered_in
 from warpsar.surface.stage import Stage
 
 LOOKS = 4.0
+RESPONSE_PX = 2.0
+"""Width of the response in pixels: at 1.5 side lobes are narrower than a pixel, and their lines look dashed."""
 WIDTH_IN = 5.4
 """Of a picture: a font of 9 points has 9 pixels where the picture is shown 400 pixels wide."""
 COLOURS = {
@@ -59,6 +61,8 @@ COLOURS = {
     "cranes": (0.85, 0.62, 0.25),
     "ship": (0.62, 0.25, 0.20),
     "containers": (0.45, 0.52, 0.62),
+    "hangars": (0.78, 0.80, 0.84),
+    "roofs": (0.95, 0.80, 0.50),
     "hull": (0.50, 0.50, 0.33),
     "tracks": (0.35, 0.35, 0.36),
 }
@@ -100,7 +104,7 @@ def scene_text(shot: Shot, rays: float) -> str:
         shape=list(shot.shape),
         spacing=shot.spacing_m,
         rays=rays,
-        width=1.5 * shot.spacing_m,
+        width=RESPONSE_PX * shot.spacing_m,
     )
     for name, table in shot.effects.items():
         lines = [f"{key} = {str(value).replace(chr(39), chr(34))}" for key, value in table.items()]
@@ -134,21 +138,32 @@ def draw(scene: Scene, shot: Shot, folder: Path, path: Path) -> None:
     image = QuickLook.of(path, "", {"HH": power}, scene.grid.spacing_m, covered_in(scene, stage, view))
     scale = GreyScale.of_counts(shades([image]))
     deep, wide = image.size_m
-    figure, (left, right) = new(WIDTH_IN, 0.75 + 2.2 * deep / wide, ncols=2, width_ratios=[1.0, 1.4])
+    figure, (left, right) = new(WIDTH_IN, 1.0 + 2.2 * deep / wide, ncols=2, width_ratios=[1.0, 1.4])
     left.imshow(mesh_picture(stage, scene, shot))
     left.set_axis_off()
-    left.set_title("mesh, radar above", fontsize=9)
+    left.set_title("mesh", fontsize=9)
     extent = (-wide / 2.0, wide / 2.0, deep / 2.0, -deep / 2.0)
     right.imshow(image.rgb("HH", scale), extent=extent, interpolation="antialiased")
-    right.set_title(f"HH, 9.6 GHz, {shot.incidence_deg:g}°, {LOOKS:g} looks", fontsize=9)
+    right.set_title(f"HH, 9.6 GHz, incidence {shot.incidence_deg:g}°, {LOOKS:g} looks", fontsize=9)
     right.set_xlabel("azimuth [m]", fontsize=9)
     right.set_ylabel("slant range [m]", fontsize=9)
     right.locator_params(nbins=5)
     right.tick_params(labelsize=8)
+    for axis, at in ((left, (0.12, 1.15)), (right, (0.1, 0.99))):
+        axis.annotate(
+            "radar",
+            (at[0], at[1] - 0.22),
+            at,
+            "axes fraction",
+            color="darkorange",
+            fontsize=9,
+            ha="center",
+            va="top",
+            arrowprops={"arrowstyle": "-|>", "color": "darkorange", "lw": 1.5},
+        )
     beside = right.inset_axes((1.05, 0.0, 0.06, 1.0))  # as tall as the image
-    bar = figure.colorbar(key_of(scale), cax=beside, ticks=scale.levels_db)
-    bar.set_label("beta0 [dB]", fontsize=9)
-    bar.ax.tick_params(labelsize=8)
+    add_bar(figure, scale, 9, cax=beside)
+    add_legend(figure, [image], 9)
     stream = BytesIO()
     assert isinstance(figure.canvas, FigureCanvasAgg)
     figure.savefig(stream, format="png", dpi=1000.0 / WIDTH_IN)

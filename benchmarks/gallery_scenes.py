@@ -116,9 +116,9 @@ def airport(folder: Path) -> Shot:
         arch = np.column_stack([13.0 * np.cos(angle), 11.0 * np.sin(angle)])
         both = np.concatenate([np.column_stack([arch[:, 0] + x, np.full(25, y), arch[:, 1]]) for y in (65.0, 105.0)])
         i = np.arange(24)
-        parts.add("metal", both, np.concatenate([np.stack([i, i + 1, i + 26], 1), np.stack([i, i + 26, i + 25], 1)]))
+        parts.add("hangars", both, np.concatenate([np.stack([i, i + 1, i + 26], 1), np.stack([i, i + 26, i + 25], 1)]))
         ends = [np.column_stack([np.full(23, s), np.arange(1, 24) + s, np.arange(2, 25) + s]) for s in (0, 25)]
-        parts.add("metal", both, np.concatenate(ends))
+        parts.add("hangars", both, np.concatenate(ends))
     parts.cylinder("concrete", (-125.0, 60.0, 0.0), 4.0, 30.0)
     parts.frustum("glass", (-125.0, 60.0, 30.0), (5.0, 7.0), 5.0)
     for x, heading in ((-80.0, 0.0), (-25.0, 0.0), (30.0, 15.0)):
@@ -132,7 +132,8 @@ def airport(folder: Path) -> Shot:
         (350, 480),
         0.75,
         effects=detailed(0.15, 1.5, "aircraft", "terminal"),
-        extra=tables(aircraft="metal", terminal="glass"),
+        # corrugated sheets, seamed and bolted: smooth ones would be as black as their shadow
+        extra=tables(aircraft="metal", terminal="glass") + roughened("hangars", "metal", 0.001, 0.012),
     )
 
 
@@ -313,7 +314,7 @@ def tank_farm(folder: Path) -> Shot:
         a, b = np.arange(96), (np.arange(96) + 1) % 96
         sides = np.concatenate([np.stack([a, b, b + 96], 1), np.stack([a, b + 96, a + 96], 1)])
         parts.add("painted_steel", np.concatenate(rings), sides)
-        parts.cylinder("painted_steel", (x, y, height * (0.3, 0.85, 0.6, 0.5)[i]), radius - 0.3, 0.5, 96)
+        parts.cylinder("roofs", (x, y, height * (0.3, 0.85, 0.6, 0.5)[i]), radius - 0.3, 0.5, 96)
         for turn_deg in np.arange(0.0, 360.0, 30.0):
             east, north = radius * np.sin(np.radians(turn_deg)), radius * np.cos(np.radians(turn_deg))
             parts.rod(
@@ -327,7 +328,9 @@ def tank_farm(folder: Path) -> Shot:
     parts.rod("metal", (-90.0, 0.0, 3.2), (90.0, 0.0, 3.2), 0.5)
     parts.write(folder / "scene.obj")
     words = "a tank farm: four tanks with floating roofs at different levels, behind dikes"
-    return Shot(words, 210.0, 40.0, (400, 530), 0.5)
+    # seams, supports and dirt: smooth roofs would be as black as the shadow of the rim
+    extra = roughened("roofs", "painted_steel", 0.0008, 0.012)
+    return Shot(words, 210.0, 40.0, (400, 530), 0.5, extra=extra)
 
 
 def wind_turbine(folder: Path) -> Shot:

@@ -19,6 +19,7 @@ from warpsar.evaluation.report_images import reduced
 from warpsar.evaluation.report_parts import beta0_rgb
 from warpsar.io import html as report
 from warpsar.io.figures import new
+from warpsar.io.grey_scale import GreyScale
 from warpsar.io.html_image import ImageAxis, image
 
 VOID = {"meta", "img", "br", "hr", "link", "input"}
@@ -150,6 +151,16 @@ def test_what_users_wrote_stays_text() -> None:
     assert [tag for tag, _ in reader.tags].count("script") == 2  # the page's own: assert_alone
     assert reader.text.count(nasty) == 21  # the title twice: <title> and <h1>
     assert [attributes["alt"] for tag, attributes in reader.tags if tag == "img"] == [nasty, nasty]
+
+
+def test_the_key_of_greys_is_linear_in_db() -> None:
+    """Of black, ground, bright and white at -40, -30, -20 and 0 dB: numbers at even steps, and under each its grey."""
+    key = report.beta0_scale(GreyScale((-40.0, -30.0, -20.0, 0.0)))
+    assert re.findall(r"<span>(.*?)</span>", key) == ["\u221240", "\u221230", "\u221220", "\u221210", "0 dB"]
+    greys = [int(stop[1:3], 16) / 255.0 for stop in re.findall("#[0-9a-f]{6}", key)]
+    assert [greys[k * (len(greys) - 1) // 4] for k in range(5)] == pytest.approx([0.0, 0.42, 0.8, 0.9, 1.0], abs=0.005)
+    assert "no mesh" not in key
+    assert "no mesh there" in report.beta0_scale(GreyScale((-40.0, -30.0, -20.0, 0.0)), beyond_mesh=True)
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from warpsar.io.grey_scale import DARKEST_DB, GREYS, GreyScale
+from warpsar.io.grey_scale import DARKEST_DB, GREYS, WITHOUT_POWER, GreyScale
 from warpsar.io.quick_look import QuickLook, contact_sheet, draw, draw_together, reduced, shades
 
 FORTY = GreyScale((-40.0, -22.0, -6.0, 0.0))
@@ -47,14 +47,15 @@ def test_ground_is_mid_grey_and_a_strong_point_is_told_from_a_bright_roof() -> N
     assert scale.grey(-300.0) == 0.0
 
 
-def test_greys_rise_and_lead_back() -> None:
+def test_greys_rise_and_a_bar_is_linear_in_db() -> None:
     scale = GreyScale((-30.0, -12.0, 3.0, 25.0))
     levels = np.linspace(-30.0, 25.0, 221)
     greys = scale.grey(levels)
     assert (np.diff(greys) > 0).all()
-    np.testing.assert_allclose(scale.decibel(greys), levels, atol=1e-9)
     np.testing.assert_allclose(scale.grey(scale.levels_db), GREYS)
-    np.testing.assert_allclose(scale.norm()(levels), greys)
+    bar = scale.mappable().to_rgba(levels)  # of 1024 steps
+    np.testing.assert_allclose(bar[:, :3], greys[:, None] * np.ones(3), atol=0.42 / 12.0 * 55.0 / 1024.0)
+    np.testing.assert_allclose(scale.along(56), scale.grey(np.arange(-30.0, 26.0)))
     assert np.isnan(scale.grey(np.nan))
 
 
@@ -142,6 +143,23 @@ def test_missing_pixels_are_no_shadow(tmp_path: Path) -> None:
     draw_together([picture])
     shown = greys(picture.path).astype(int)
     assert ((shown[..., 2] - shown[..., 0]) > 50).sum() > 1000  # blue
+
+
+def test_a_picture_says_where_no_mesh_is(tmp_path: Path) -> None:
+    """A dark blue field below the picture, and only where the picture has that colour."""
+    blue = np.round(255.0 * WITHOUT_POWER)
+
+    def shown(covered: np.ndarray) -> int:
+        path = tmp_path / "a.png"
+        draw(QuickLook.of(path, "a", {"HH": np.ones((8, 8))}, (1.0, 1.0), covered), FORTY)
+        picture = greys(path).astype(float)
+        below = picture[int(0.9 * len(picture)) :]
+        return int((np.abs(below - blue).max(axis=2) < 3.0).sum())
+
+    covered = np.ones((8, 8), bool)
+    assert shown(covered) == 0
+    covered[:, 4:] = False
+    assert shown(covered) > 100
 
 
 @pytest.mark.full

@@ -267,10 +267,7 @@ def _cutouts(observations: Sequence[ReflectorObservation]) -> str:
             grey = report.colour(scale.grey(in_decibel(power)), "gray", 0.0, 1.0)
             cells.append(image(report.png(grey), f"{name}: {what}", *axes))
         cells.append(image(report.png(report.colour(ratio, "RdBu_r", -15.0, 15.0)), f"{name}: residual", *axes))
-    marks = [f"{at:.0f}".replace("-", "−") for at in scale.decibel(np.linspace(0.0, 1.0, 5))]
-    keys = report.scale("gray", [*marks[:-1], f"{marks[-1]} dB"], "beta0") + report.scale(
-        "RdBu_r", ["−15", "0", "+15 dB"], "measured / predicted"
-    )
+    keys = report.beta0_scale(scale) + report.scale("RdBu_r", ["−15", "0", "+15 dB"], "measured / predicted")
     said = (
         "The prediction is the response of the stated bandwidth with the predicted RCS at the place that was found, in "
         "clutter of the mean level; of a date at which no reflector stands, clutter alone. Without a prediction it has "

@@ -98,8 +98,8 @@ def beta0_rgb(
     for power, mask in pairs:
         grey = report.colour(scale.grey(in_decibel(power)), "gray", 0.0, 1.0)
         images.append(grey if mask is None else tinted(grey, mask))
-    marks = [f"{at:.0f}".replace("-", "−") for at in scale.decibel(np.linspace(0.0, 1.0, 5))]
-    return images, report.scale("gray", [*marks[:-1], f"{marks[-1]} dB"], "beta0")
+    ends = any(mask is not None and not mask.all() for mask in masks)
+    return images, report.beta0_scale(scale, beyond_mesh=ends)
 
 
 def both_sides(stage: Stage, incidence_deg: float) -> list[tuple[float, MeshView]]:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 if TYPE_CHECKING:
-    from matplotlib.colors import FuncNorm
+    from matplotlib.cm import ScalarMappable
 
 GREYS = (0.0, 0.42, 0.8, 1.0)
 """Of the four levels: 0 is black, 1 white."""
@@ -26,10 +26,14 @@ BRIGHT_DB, NARROWEST_DB = 25.0, 6.0
 TAIL_DB = 3.0
 """White lies at least so far above bright."""
 EDGES_DB = np.arange(-160.0, 100.25, 0.25)
+_STEPS = 1024
+"""Of a map of greys for matplotlib: no step is above a grey of 256 where a scale spans 100 dB."""
 NOTHING = 1e-30
 """Linear beta0 that is shown as none."""
 WITHOUT_MESH, WITHOUT_POWER = np.array([0.75, 0.85, 1.0]), np.array([0.05, 0.12, 0.27])
-"""Where there is no mesh: what a grey is multiplied by, and what black becomes."""
+"""Where there is no mesh: what white and what black become."""
+UNMEASURED = "tab:blue"
+"""Where an image has no number."""
 
 
 @dataclass(frozen=True)
@@ -65,20 +69,17 @@ class GreyScale:
         """0 to 1, of the same shape; NaN stays NaN."""
         return np.asarray(np.interp(np.asarray(decibel, float), self.levels_db, GREYS))
 
-    def decibel(self, grey: ArrayLike) -> NDArray[np.float64]:
-        """The way back, within black and white."""
-        return np.asarray(np.interp(np.asarray(grey, float), GREYS, self.levels_db))
+    def along(self, steps: int) -> NDArray[np.float64]:
+        """Greys from black to white at even steps in dB: those of a bar, along which dB are read off as on a ruler."""
+        return self.grey(np.linspace(self.levels_db[0], self.levels_db[-1], steps))
 
-    def norm(self) -> FuncNorm:
-        """The same for matplotlib."""
-        from matplotlib.colors import FuncNorm
+    def mappable(self) -> ScalarMappable:
+        """The same for matplotlib: a map of greys, linear in dB from black to white."""
+        from matplotlib.cm import ScalarMappable
+        from matplotlib.colors import ListedColormap, Normalize
 
-        return FuncNorm((self.grey, self.decibel), vmin=self.levels_db[0], vmax=self.levels_db[-1])
-
-    @property
-    def ticks_db(self) -> list[float]:
-        """Whole dB for a bar: the levels, and one between each two."""
-        return sorted({float(np.round(self.decibel(at))) for at in (*GREYS, *np.convolve(GREYS, [0.5, 0.5], "valid"))})
+        greys = self.along(_STEPS)[:, None] * np.ones(3)
+        return ScalarMappable(Normalize(self.levels_db[0], self.levels_db[-1]), ListedColormap(greys))
 
 
 def tinted(colours: NDArray[np.float64], covered: NDArray[np.bool_]) -> NDArray[np.float64]:

@@ -14,7 +14,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from warpsar.io.grey_scale import WITHOUT_POWER, GreyScale
 from warpsar.io.images import replacing
 
 if TYPE_CHECKING:
@@ -160,17 +162,30 @@ def data_uri(content: bytes, kind: str) -> str:
     return f"data:{kind};base64,{base64.b64encode(content).decode('ascii')}"
 
 
-def scale(colours: str, ticks: Sequence[str], label: str) -> str:
-    """The key of a colour scale: `colours` names a matplotlib map, `ticks` stand evenly along it."""
+def scale(colours: str, ticks: Sequence[str], label: str, at: ArrayLike | None = None) -> str:
+    """The key of a colour scale: `colours` names a matplotlib map, `ticks` stand evenly along the bar. `at`: which part
+    of the map, 0 to 1, lies at even steps along it; all of it, evenly, where nothing is said."""
     from matplotlib import colormaps
     from matplotlib.colors import to_hex
 
-    stops = ", ".join(to_hex(colour) for colour in colormaps[colours](np.linspace(0.0, 1.0, 17)))
+    shares = np.linspace(0.0, 1.0, 17) if at is None else np.asarray(at, float)
+    stops = ", ".join(to_hex(colour) for colour in colormaps[colours](shares))
     marks = "".join(f"<span>{escape(tick)}</span>" for tick in ticks)
     return (
         f'<span class="scale">{escape(label)}<i style="background: linear-gradient(to right, {stops})"></i>'
         f"<b>{marks}</b></span>"
     )
+
+
+def beta0_scale(greys: GreyScale, *, beyond_mesh: bool = False) -> str:
+    """The key of images of beta0, a bar that is linear in dB. `beyond_mesh`: whether they show where the mesh ends."""
+    from matplotlib.colors import to_hex
+
+    marks = [f"{at:.0f}".replace("-", "\u2212") for at in np.linspace(greys.levels_db[0], greys.levels_db[-1], 5)]
+    key = scale("gray", [*marks[:-1], f"{marks[-1]} dB"], "beta0", greys.along(65))
+    if not beyond_mesh:
+        return key
+    return f'{key}<span class="patch"><i style="background: {to_hex(WITHOUT_POWER)}"></i>no mesh there</span>'
 
 
 def colour(values: np.ndarray, colours: str, low: float, high: float) -> np.ndarray:

@@ -10,17 +10,17 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from warpsar.io import figures
-from warpsar.io.grey_scale import EDGES_DB, GreyScale, count, in_decibel, tinted
+from warpsar.io.grey_scale import EDGES_DB, UNMEASURED, WITHOUT_POWER, GreyScale, count, in_decibel, tinted
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.cm import ScalarMappable
+    from matplotlib.figure import Figure
 
 LARGEST = 960
 """Pixels along a side of a picture: larger images are averaged in power over blocks, so no strong point is left out."""
@@ -104,24 +104,40 @@ def draw(look: QuickLook, scale: GreyScale) -> None:
         axis.set_xlabel("azimuth [m]", fontsize=9)
         axis.tick_params(labelsize=8)
     axes[0, 0].set_ylabel("slant range [m], radar above", fontsize=9)
-    bar = figure.colorbar(key_of(scale), ax=axes.ravel().tolist(), shrink=0.9, ticks=scale.ticks_db)
-    bar.set_label("beta0 [dB]", fontsize=9)
-    bar.ax.tick_params(labelsize=8)
+    add_bar(figure, scale, 9, ax=axes.ravel().tolist(), shrink=0.9)
+    add_legend(figure, [look], 8)
     figure.suptitle(look.title, fontsize=10)
     figures.save(figure, look.path)
 
 
-def key_of(scale: GreyScale) -> ScalarMappable:
-    """What a bar beside pictures is made of."""
-    from matplotlib.cm import ScalarMappable
+def add_bar(figure: Figure, scale: GreyScale, size: float, **where: Any) -> None:
+    """A bar of greys, linear in dB; `size` of its label in points, `where` as `Figure.colorbar` has it."""
+    from matplotlib.ticker import MaxNLocator
 
-    return ScalarMappable(scale.norm(), "gray")
+    bar = figure.colorbar(scale.mappable(), ticks=MaxNLocator(9, integer=True), **where)
+    bar.set_label("beta0 [dB]", fontsize=size)
+    bar.ax.tick_params(labelsize=size - 1)
+
+
+def add_legend(figure: Figure, looks: Iterable[QuickLook], size: float) -> None:
+    """What the colours mean that are no grey, of those that pictures have, below them."""
+    from matplotlib.patches import Patch
+
+    looks = list(looks)
+    meanings = {
+        "no mesh there": (WITHOUT_POWER, any(one.covered is not None and not one.covered.all() for one in looks)),
+        "not measured": (UNMEASURED, any(np.isnan(power).any() for one in looks for power in one.power.values())),
+    }
+    shown = [Patch(facecolor=colour, edgecolor="black", lw=0.5, label=name)
+             for name, (colour, there) in meanings.items() if there]  # fmt: skip
+    if shown:
+        figure.legend(handles=shown, loc="outside lower right", ncols=len(shown), fontsize=size, frameon=False)
 
 
 def _imshow(axis: Axes, look: QuickLook, polarization: str, scale: GreyScale) -> None:
     deep, wide = look.size_m
     rgb = look.rgb(polarization, scale)
-    axis.set_facecolor("tab:blue")
+    axis.set_facecolor(UNMEASURED)
     seen = np.isfinite(rgb[..., :1])
     extent = (-wide / 2.0, wide / 2.0, deep / 2.0, -deep / 2.0)
     axis.imshow(np.concatenate([np.nan_to_num(rgb), seen], axis=2), extent=extent, interpolation="nearest")
@@ -147,8 +163,8 @@ def contact_sheet(path: Path, looks: list[QuickLook]) -> None:
         (polarization,) = look.power
         _imshow(axis, look, polarization, scale)
         axis.set_title(look.title.partition(":")[0].removesuffix(", measured"), fontsize=6)
-    bar = figure.colorbar(key_of(scale), ax=axes.ravel().tolist(), shrink=0.9, ticks=scale.ticks_db)
-    bar.set_label("beta0 [dB]", fontsize=8)
+    add_bar(figure, scale, 8, ax=axes.ravel().tolist(), shrink=0.9)
+    add_legend(figure, chosen, 8)
     few = "" if len(chosen) == len(looks) else f"{len(chosen)} of {len(looks)} views, each "
     deep, wide = chosen[0].size_m
     figure.suptitle(f"{few}{deep:g} m in slant range (down) by {wide:g} m in azimuth", fontsize=8)

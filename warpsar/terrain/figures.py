@@ -195,13 +195,11 @@ def _panel(
     options: dict[str, Any] = {"extent": ends, "aspect": aspect, "interpolation": "nearest"}
     label = {"power": f"{layer.name} [dB]", "angle": f"{layer.name} [deg]"}.get(layer.kind, layer.name)
     if layer.kind == "power" and scale is not None:
-        drawn = axis.imshow(in_decibel(shown), cmap="gray", norm=scale.norm(), **options)
+        greys = scale.mappable()
+        drawn = axis.imshow(in_decibel(shown), cmap=greys.cmap, norm=greys.norm, **options)
     elif layer.kind == "angle":
         drawn = axis.imshow(shown, cmap="viridis", vmin=0.0, vmax=90.0, **options)
     else:
         drawn = axis.imshow(shown, cmap="cividis", vmin=0.0, vmax=1.0, **options)
     _dress(axis, layer.name.replace("_", " "))
-    bar = axis.figure.colorbar(drawn, ax=axis, label=label, shrink=0.85)
-    if layer.kind == "power" and scale is not None:
-        bar.set_ticks(scale.ticks_db)
-        bar.set_ticklabels([f"{at + 0.0:g}" for at in scale.ticks_db])
+    axis.figure.colorbar(drawn, ax=axis, label=label, shrink=0.85)

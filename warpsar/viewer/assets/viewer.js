@@ -314,17 +314,24 @@ function listed(entries) {
   byId("legend").replaceChildren(list);
 }
 
-const EVENLY = [0, 0.5, 1]; // along a bar: where its numbers stand
-
 /** The value at a share of a colour map, 0 to 1: linear between the levels of the scale. */
 function decibels({ levels_db: levels, shares }, at) {
   const k = Math.max(1, shares.findIndex((one) => one >= at));
   return levels[k - 1] + ((levels[k] - levels[k - 1]) * (at - shares[k - 1])) / (shares[k] - shares[k - 1]);
 }
 
-function barred(title, map, labels, note = "") {
+/** The way back. */
+function share({ levels_db: levels, shares }, decibel) {
+  const k = Math.max(1, levels.findIndex((one) => one >= decibel));
+  return shares[k - 1] + ((shares[k] - shares[k - 1]) * (decibel - levels[k - 1])) / (levels[k] - levels[k - 1]);
+}
+
+const BAR = [...Array(65).keys()].map((k) => k / 64);
+
+/** A bar with numbers at even steps; `shares` of the colour map lie evenly along it. */
+function barred(title, map, labels, note = "", shares = BAR) {
   const rgba = bytes(data.maps[map]);
-  const stops = [...Array(17).keys()].map((k) => hex([...rgba.slice(4 * Math.min(16 * k, 255), 4 * Math.min(16 * k, 255) + 3)]));
+  const stops = shares.map((one) => 4 * Math.round(255 * one)).map((k) => hex([...rgba.slice(k, k + 3)]));
   const bar = element("span", "", { background: `linear-gradient(to right, ${stops.join(", ")})` });
   bar.className = "bar";
   const marks = element("div");
@@ -377,8 +384,12 @@ function show() {
       const map = image ? image.scale.colours : "gray";
       uniforms.colours.value = colourTables[map];
       const meaning = quantity.startsWith("residual") ? "measured over modelled power; red: the measured image is brighter" : "beta0";
-      if (image) barred(`${quantity}, ${view.name}`, map, EVENLY.map((at) => `${number(decibels(image.scale, at))} dB`), meaning);
-      else byId("legend").replaceChildren(element("span", `${view.name} has no such image`));
+      if (image) {
+        const [low, high] = [image.scale.levels_db[0], image.scale.levels_db.at(-1)];
+        const along = (at) => low + (high - low) * at; // linear in dB
+        const labels = [0, 0.5, 1].map((at) => `${number(along(at))} dB`);
+        barred(`${quantity}, ${view.name}`, map, labels, meaning, BAR.map((at) => share(image.scale, along(at))));
+      } else byId("legend").replaceChildren(element("span", `${view.name} has no such image`));
     }
   }
   value.needsUpdate = true;
