@@ -173,7 +173,9 @@ def test_an_effect_is_named_where_it_is_worth_more_than_its_uncertainty(
     scatter = 0.03 * np.tile([1.0, -1.0], 6)
     asked: list[float] = []
 
-    def fitted(starts: list[Scene], enough: Callable[[np.ndarray], bool] = lambda scores: False) -> Model | None:
+    def fitted(
+        starts: list[Scene], enough: Callable[[np.ndarray], bool] = lambda scores: False, **_: object
+    ) -> Model | None:
         if "noise_floor" in starts[0].effects:
             return Model(starts, np.full(12, 1.0))
         asked.append(worth[len(asked)])
@@ -478,6 +480,15 @@ def test_no_lead_is_claimed_before_a_box_was_met() -> None:
     better = held({"model": (0.9, 1.3), **PICTURE, "box": (0.8, 1.4)}, 1.3, box_held=[])
     assert better.ahead
     assert sentence(better).endswith("predicts better than pictures of other views and a box")
+
+    # by correlation it is ahead, by deviance behind, within the error of scattered deviances
+    scattered = held({"model": (0.9, 1.301), **PICTURE, "box": (0.8, 1.3)}, 1.3, box_held=[])
+    for image, off in zip(scattered.images, np.tile([0.1, -0.1], 5), strict=True):
+        model = image.predictions["model"]
+        more = {**image.predictions, "model": replace(model, deviance=model.deviance + off)}
+        object.__setattr__(image, "predictions", more)
+    assert not scattered.ahead
+    assert "whether it is this body is not told" in sentence(scattered)
 
     # the body is a box: nothing but speckle is left
     box = held({"model": (0.9, 1.0), **PICTURE, "box": (0.9, 1.0)}, 1.0)

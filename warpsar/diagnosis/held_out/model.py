@@ -7,12 +7,13 @@ import threading
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import warp as wp
 
-from warpsar.compare.aim import Reach, aimed, aimed_deviance, best_shift, stated_aims, with_aims
+from warpsar.compare.aim import MeasuredImage, Reach, aimed, best_shift, stated_aims, with_aims
 from warpsar.compare.prediction import PredictedImage, compared, measured_of, predicted
 from warpsar.compare.rivals import Seen
 from warpsar.diagnosis.geometry.registry import content, scene_with
@@ -21,6 +22,7 @@ from warpsar.learning.geometry import still
 from warpsar.learning.optimise import levenberg_marquardt
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.results import learned_scene
+from warpsar.runtime import threads
 from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import Rays
 from warpsar.surface.stage import Stage
@@ -104,6 +106,7 @@ class TrainViews:
         self._measured: dict[tuple[str, str], np.ndarray] = {
             (v.name, p): measured_of(scene, v, p) for v in self.views for p in v.images
         }
+        self._beside = {key: MeasuredImage(power, self.reach) for key, power in self._measured.items()}
         window = self.reach.window(np.empty(scene.grid.shape)).shape
         shape = tuple(n - 2 * round(0.5 * (1.0 - FITTED) * n) for n in window)
         found = self._aimed(scene) if aimed(scene) else scene
@@ -142,12 +145,13 @@ class TrainViews:
 
     def scores(self, scene: Scene, names: Sequence[str]) -> np.ndarray:
         """Mean gamma deviance of each view at the model's best aim point, shape (names,): lower is better."""
-        found = []
-        for name, image in zip(names, self.images(scene, names), strict=True):
-            measured = {pol: power for (view, pol), power in self._measured.items() if view == name}
-            each = [aimed_deviance(power, image[pol], self.reach) for pol, power in measured.items()]
-            found.append(float(np.mean(each)))
-        return np.array(found)
+
+        def score(name: str, image: Mapping[str, np.ndarray]) -> float:
+            measured = {pol: one for (view, pol), one in self._beside.items() if view == name}
+            return float(np.mean([one.deviance(image[pol]) for pol, one in measured.items()]))
+
+        tasks = [partial(score, name, image) for name, image in zip(names, self.images(scene, names), strict=True)]
+        return np.array(list(threads.in_threads(tasks)))
 
     def beside(self, scenes: Mapping[str, Scene], names: Sequence[str], others: Sequence[str]) -> list[PredictedImage]:
         """The views `names` beside what each scene predicts, and beside the rivals that `others` make."""
