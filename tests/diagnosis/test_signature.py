@@ -15,7 +15,7 @@ from worlds import view
 from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.frozen import frozen
 from warpsar.diagnosis.models.refit import Fitted, fit_model
-from warpsar.diagnosis.turn.signature import scaled, signature
+from warpsar.diagnosis.turn.signature import Amplitude, _judged, scaled, signature
 from warpsar.effects.base.signature import SeenImage, Signature, looks_on, of_all, power_in
 from warpsar.effects.registry import get, names
 from warpsar.runtime import devices
@@ -56,10 +56,11 @@ def asked(scene: Scene, name: str, table: Mapping[str, Any], *, fit: bool = Fals
     return signature(setup, base, fitted, name)
 
 
-def test_a_blur_is_confirmed_by_its_edges(tmp_path: Path) -> None:
+def test_a_blur_shows_at_edges(tmp_path: Path) -> None:
+    """The far edges lie in the cube's shadow, which is dark. The near ones say something, and alone confirm nothing."""
     found = of("point_spread", BLUR, tmp_path)
-    assert found.outcome != "against"
-    assert found.numbers["edges: value"] == pytest.approx(1.0, abs=4.0 * found.numbers["edges: error"])
+    assert found.outcome == "none"
+    assert found.numbers["near range: value"] == pytest.approx(1.0, abs=4.0 * found.numbers["near range: error"])
 
 
 def test_a_blur_of_far_range_alone_is_no_point_spread(tmp_path: Path) -> None:
@@ -147,6 +148,16 @@ def compressed(folder: Path, change: Callable[[np.ndarray], np.ndarray]) -> Scen
     random = np.random.default_rng(4)
     images = [{"HH": change(one["HH"] * speckle(random, one["HH"].shape, 16.0))} for one in noise_free(bare)]
     return measured(bare, folder, images=images, noise=lambda random, shape, looks: np.ones(shape))
+
+
+@pytest.mark.parametrize(
+    ("far", "outcome"),
+    [(1.1, "confirmed"), (1.6, "none"), (2.6, "against")],
+)
+def test_places_confirm_a_name_where_they_agree(far: float, outcome: str) -> None:
+    """An amount that surely differs confirms nothing, and refuses nothing below a factor of two."""
+    found = _judged([Amplitude("near", 0.9, 0.1), Amplitude("far", far, 0.1)])
+    assert found.outcome == outcome
 
 
 @pytest.mark.parametrize("name", names())

@@ -203,20 +203,16 @@ def judged(diagnosis: Diagnosis) -> Diagnosed:
         diagnosis = replace(diagnosis, final=replace(diagnosis.final, scene=final))
     own = judge_of.with_own_numbers(fitted)
     verdicts = _verdicts(judge_of, fitted, final, own)
-    if may_be_angles(verdicts) and own is judge_of(fitted, "test"):
+    foretold, opened = None, _with_open_surface(diagnosis, fitted, final, verdicts)
+    if opened is None and may_be_angles(verdicts) and own is judge_of(fitted, "test"):
         diagnosis = with_own_angles(diagnosis, final)
         if diagnosis.of_test_views:
             fitted = diagnosis.final.scene
             own, final = judge_of(fitted, "test"), _with_views(fitted, final)
             verdicts = _verdicts(judge_of, fitted, final, own)
-    foretold = None
-    if _may_be_open(verdicts):
-        images = judge_of.with_open_surface(final, diagnosis.setup.roughness)
-        opened = {role: judge(of) for role, of in images.items()}
-        cost = _train_cost(under(judge_of(fitted, "train"), final), images["train"]) / verdicts["train"].sharing
-        allowed = float(chdtri(diagnosis.final.problem.learned.size, OPEN))
-        if cost < allowed and not any(one.wrong for one in opened.values()):
-            foretold, verdicts = verdicts["test"], opened
+            opened = _with_open_surface(diagnosis, fitted, final, verdicts)
+    if opened is not None:
+        foretold, verdicts = verdicts["test"], opened
     models = [
         [image for role in ROLES for image in under(judge_of(one.scene, role, edges=False), diagnosis.scene)]
         for one in fitted_models(diagnosis)[:-1]
@@ -246,6 +242,20 @@ def _verdicts(judge_of: Judge, fitted: Scene, final: Scene, test: Sequence[Compa
     """The judgement of each role on the fitted scene's images, under the looks and texture of the `final` one."""
     tested = {"train": judge_of(fitted, "train"), "test": test}
     return {role: judge_of.judgement(under(images, final)) for role, images in tested.items() if images}
+
+
+def _with_open_surface(
+    diagnosis: Diagnosis, fitted: Scene, final: Scene, verdicts: Mapping[str, Judgement]
+) -> dict[str, Judgement] | None:
+    """The judgement of each role with the surface fitted to all views, where train views leave it open and nothing is
+    left then; else None. It comes before a test view's own angle, which takes up what a surface lacks, too."""
+    if not _may_be_open(verdicts):
+        return None
+    images = diagnosis.judge.with_open_surface(final, diagnosis.setup.roughness)
+    opened = {role: judge(of) for role, of in images.items()}
+    cost = _train_cost(under(diagnosis.judge(fitted, "train"), final), images["train"]) / verdicts["train"].sharing
+    allowed = float(chdtri(diagnosis.final.problem.learned.size, OPEN))
+    return opened if cost < allowed and not any(one.wrong for one in opened.values()) else None
 
 
 def _train_cost(before: Sequence[Comparison], after: Sequence[Comparison]) -> float:

@@ -68,9 +68,7 @@ class PointSpread(Effect):
     def parts(self, image: SeenImage, table: Mapping[str, Any]) -> Mapping[str, np.ndarray]:
         """It shows on edges and on points alike, and is as wide at near range as at far range: a defocus that grows
         along range is no one response."""
-        shown = image.edges | image.points
-        ends = {name: part & shown for name, part in image.ends_of_range().items()}
-        return {"edges": image.edges, "points": image.points, **ends}
+        return {"points": image.points, **image.ends_of_range(image.edges)}
 
     def trials(self, context: Context) -> list[Trial]:
         """The step is one pixel's width, where the neighbours get 6 %: sampled at pixel centres, a narrower kernel is

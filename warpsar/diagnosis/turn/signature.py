@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -81,9 +82,17 @@ def _judged(found: Sequence[Amplitude]) -> Signature:
         numbers |= {f"{one.part}: {key}": getattr(one, key) for one in wrong for key in ("value", "error")}
         return Signature("against", f"{some}, where all must hold 1", numbers)
     held = [one for one in known if AT_LEAST < one.value < AT_MOST and one.value > SURE * one.error]
+    if any(_apart(one, other) for one, other in combinations(known, 2)):
+        return Signature("none", f"its size differs from place to place: {said}", numbers)
     if len(held) > 1 and len(held) == len(known):
         return Signature("confirmed", f"its size by place, 1 in all: {said}", numbers)
     return Signature("none", f"too few data for a test by place{': ' if said else ''}{said}", numbers)
+
+
+def _apart(one: Amplitude, other: Amplitude) -> bool:
+    """Whether two places surely hold different amounts of the effect. That confirms no name, and refuses none: a small
+    misfit of something else does as much."""
+    return abs(one.value - other.value) > SURE * math.hypot(one.error, other.error)
 
 
 def _less(one: Amplitude, other: Amplitude) -> bool:

@@ -78,13 +78,12 @@ class SeenImage:
         left = np.broadcast_to(np.arange(self.lit.shape[1]) < self.lit.shape[1] // 2, self.lit.shape)
         return {"the left half": left, "the right half": ~left}
 
-    def ends_of_range(self) -> dict[str, np.ndarray]:
-        """The nearest and the farthest third of the lit rows."""
-        rows = np.flatnonzero(self.lit.any(axis=1))
+    def ends_of_range(self, mask: np.ndarray) -> dict[str, np.ndarray]:
+        """The pixels of a mask in the nearest and in the farthest third of its rows."""
+        rows = np.flatnonzero(mask.any(axis=1))
         first, last = (rows[0], rows[-1]) if rows.size else (0, 0)
-        row = np.broadcast_to(np.arange(self.lit.shape[0])[:, None], self.lit.shape)
-        third = (last - first) / 3.0
-        return {"near range": row < first + third, "far range": row > last - third}
+        row, third = np.arange(mask.shape[0])[:, None], (last - first) / 3.0
+        return {"near range": mask & (row < first + third), "far range": mask & (row > last - third)}
 
     def by_material(self) -> dict[str, np.ndarray]:
         """The pixels of each material."""
