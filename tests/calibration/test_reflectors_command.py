@@ -181,6 +181,11 @@ def test_products_that_cannot_be_opened_are_named(tmp_path: Path) -> None:
     np.save(plain, np.ones((3, 3)))
     with pytest.raises(InputError, match="says no orbit; must be one of capella, gamma, nisar, sentinel1"):
         warpsar.reflectors([plain], sites(tmp_path))
+    inside = good / "measurement" / "a.npy"
+    inside.parent.mkdir(exist_ok=True)
+    np.save(inside, np.ones((3, 3)))
+    with pytest.raises(InputError, match=f"it lies in a SAFE folder, which says it: name {good}$"):
+        warpsar.reflectors([inside], sites(tmp_path))
 
 
 def test_a_file_that_is_cut_off_or_absurd_is_one_line_and_the_others_go_on(tmp_path: Path) -> None:

@@ -136,6 +136,24 @@ def test_a_model_is_ahead_or_not_this_body() -> None:
     worse = advantage(predicted(0.89, 0.82, deviance=4.0))
     assert worse is not None
     assert not worse.ahead, "a correlation alone does not do"
+    assert "not this body" in worse.words
+
+
+@pytest.mark.parametrize(("behind", "said"), [(0.05, True), (0.5, False)])
+def test_a_deviance_within_its_error_does_not_refuse_a_body(behind: float, said: bool) -> None:
+    """Ten images of deviances that scatter by 0.2, a mean's error of 0.07: behind by 0.05 is not told, by 0.5 it is."""
+    images = predicted(0.89, 0.82, deviance=3.0)
+    for image, off in zip(images, np.tile([0.2, -0.2], 5), strict=True):
+        model = image.predictions["model"]
+        object.__setattr__(
+            image, "predictions", {**image.predictions, "model": replace(model, deviance=3.0 + behind + off)}
+        )
+    found = advantage(images)
+    assert found is not None
+    assert not found.ahead
+    assert found.open is said
+    assert ("not told" in found.words) is said
+    assert ("not this body" in found.words) is not said
 
 
 @pytest.mark.parametrize(

@@ -3,11 +3,17 @@
 from types import SimpleNamespace
 from typing import Any, cast
 
+import numpy as np
 import pytest
+from test_proposals import BOX, plain
 
 from warpsar.compare.judgement import Judgement
 from warpsar.diagnosis.found import Diagnosis
+from warpsar.diagnosis.models.projection import pixel_of
 from warpsar.diagnosis.result import not_established
+from warpsar.diagnosis.single_views import _moved_px
+from warpsar.parameters.at import at
+from warpsar.scene.placing import with_objects
 
 HELD = [
     "noise_floor",
@@ -28,7 +34,11 @@ def doubted(findings: list[str], on_trial: list[str] | None = None) -> dict[str,
     """Of a model with all of `HELD`, whose floor and shift alone are confirmed by their own tests."""
     signed = {"noise_floor", "registration"}.__contains__
     found: Any = SimpleNamespace(held=HELD, on_trial=on_trial or [], signed=signed)
-    verdicts: Any = {"train": SimpleNamespace(findings=[]), "test": SimpleNamespace(findings=findings)}
+    judged = {"p_window": 1.0, "window": None}
+    verdicts: Any = {
+        "train": SimpleNamespace(findings=[], **judged),
+        "test": SimpleNamespace(findings=findings, **judged),
+    }
     return not_established(cast(Diagnosis, found), cast(dict[str, Judgement], verdicts))
 
 
@@ -51,3 +61,42 @@ def test_what_was_left_on_trial_is_no_name() -> None:
     told = doubted([], ["noise_floor", "missing_object found_1"])
     assert set(told) == {"noise_floor", "missing_object found_1"}
     assert all("time was over" in why for why in told.values())
+
+
+HELD_SIZE = "object_size it"
+
+
+def beside_a_window(row: int, col: int, chance: float) -> dict[str, str]:
+    """Names that fail of a box's size, beside a window of 5 x 5 pixels in the first view that speckle makes by
+    `chance`; edges agree."""
+    scene = with_objects(plain(), (BOX.model_copy(update={"name": "it", "material": "hut"}),))
+    found: Any = SimpleNamespace(held=[HELD_SIZE], on_trial=[], final=SimpleNamespace(scene=scene))
+    window = SimpleNamespace(view=scene.views[0].name, row=row, col=col, rows=5, columns=5)
+    verdict: Any = SimpleNamespace(findings=["structure"], p_window=chance, window=window)
+    return not_established(found, {"train": verdict})
+
+
+def test_a_size_is_not_established_beside_structure_on_its_body() -> None:
+    """What is left there may be what the size stands in for: a gable, for instance. Elsewhere it is another thing."""
+    scene = plain()
+    middle = np.array([[2.0, -1.5, 1.25]]) - scene.reference_point_m
+    row, col = (int(at[0]) for at in pixel_of(scene, scene.views[0], middle))
+    assert beside_a_window(row, col, 1e-6) == {HELD_SIZE: "structure is left on it"}
+    assert beside_a_window(2, 2, 1e-6) == {}
+    assert beside_a_window(row, col, 0.5) == {}  # it was rows or columns that departed
+
+
+def test_how_far_an_angle_moves_outlines() -> None:
+    """A turn by d moves a point of the ground by d times its distance from the axis, along azimuth or along the
+    ground's range."""
+    scene = plain()
+    view, step = scene.views[0], np.array(scene.grid.spacing_m)
+    turned = at(scene, {scene.parameters[f"views.{view.name}.azimuth_deg"]: np.array(view.azimuth_deg + 0.1)})
+    points = scene.mesh.vertices - scene.reference_point_m
+    places = np.array(pixel_of(scene, view, points))
+    inside = np.all((places >= 0) & (places < np.array(scene.grid.shape)[:, None]), axis=0)
+    away = np.linalg.norm(points[inside, :2], axis=1).max() * np.radians(0.1)
+    moved = _moved_px(scene, turned, view.name) * step
+    assert np.hypot(*moved) <= np.sqrt(2.0) * away
+    assert moved.max() > away / 2.0
+    assert np.all(_moved_px(scene, scene, view.name) == 0.0)

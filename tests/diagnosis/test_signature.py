@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from learning_scenes import cube_scene, measured, noise_free, speckle
+from scipy.ndimage import gaussian_filter1d
 from test_diagnose import ANGLES, SIZE
 from worlds import view
 
@@ -59,6 +60,19 @@ def test_a_blur_is_confirmed_by_its_edges(tmp_path: Path) -> None:
     found = of("point_spread", BLUR, tmp_path)
     assert found.outcome != "against"
     assert found.numbers["edges: value"] == pytest.approx(1.0, abs=4.0 * found.numbers["edges: error"])
+
+
+def test_a_blur_of_far_range_alone_is_no_point_spread(tmp_path: Path) -> None:
+    """Sharp in the nearest two fifths, and a Gaussian of 3 pixels (standard deviation) along azimuth beyond them."""
+
+    def defocused(name: str, image: np.ndarray) -> np.ndarray:
+        far = image[2 * SIZE // 5 :]
+        far[:] = gaussian_filter1d(far, 3.0, axis=1)
+        return image
+
+    found = of("point_spread", BLUR, tmp_path, defocused, looks=64.0)
+    assert found.outcome == "against"
+    assert "near range holds" in found.text
 
 
 def test_a_floor_is_confirmed_in_shadows(tmp_path: Path) -> None:

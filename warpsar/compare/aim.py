@@ -10,15 +10,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 from typing import TypeVar
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from scipy.fft import irfft2, rfft2
 from scipy.ndimage import gaussian_filter, shift
 
 from warpsar.errors import InputError
-from warpsar.speckle.likelihood import best_gain, bounded, deviance, expected_deviance
+from warpsar.speckle.likelihood import best_gain, bounded, bounded_level, deviance, expected_deviance
 from warpsar.world.world import World
 
 EFFECT = "aim_point"
@@ -29,6 +30,7 @@ EXPECTED = expected_deviance(1.0)
 """Mean gamma deviance of one look."""
 BOUND = 20.0  # of a pixel's loss, where the gain is sought: one bright pixel does not set it
 FAINTEST = 1e-3  # of a prediction's median: no pixel counts as darker
+SAME_GAIN = 1e-5  # of a logarithm: views left out tell gains of a thousandth
 LEAST = 1e-4  # of a measurement's median: the logarithm of 0 is none
 ROOM_PX = 4  # about a window that is moved by a part of a pixel
 CROSS = ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1))
@@ -126,20 +128,7 @@ def correlation(a: np.ndarray, b: np.ndarray) -> float:
 
 def best_shift(measured: np.ndarray, predicted: np.ndarray, reach: Reach) -> tuple[float, Shift]:
     """The largest correlation of fourth roots over all shifts of the prediction, and its shift."""
-    from scipy.signal import fftconvolve
-
-    own, wide = reach.window(roots(measured)), roots(predicted)
-    wide = wide - wide.mean()  # the less there is to subtract below
-    own = own - own.mean()
-    total, squares = (
-        sliding_window_view(np.pad(one.cumsum(0).cumsum(1), ((1, 0), (1, 0))), [n + 1 for n in own.shape])
-        for one in (wide, wide**2)
-    )
-    sums, powers = (w[..., -1, -1] - w[..., 0, -1] - w[..., -1, 0] + w[..., 0, 0] for w in (total, squares))
-    spread = np.maximum(powers - sums**2 / own.size, 1e-12 * float((wide**2).sum()) + 1e-300)
-    found = fftconvolve(wide, own[::-1, ::-1], mode="valid") / np.sqrt(spread * max(float((own**2).sum()), 1e-300))
-    row, col = np.unravel_index(found.argmax(), found.shape)
-    return float(found[row, col]), (reach.rows - int(row), reach.cols - int(col))
+    return MeasuredImage(measured, reach).best_shift(predicted)
 
 
 def deviances(measured: np.ndarray, predicted: np.ndarray) -> np.ndarray:
@@ -151,52 +140,104 @@ def deviances(measured: np.ndarray, predicted: np.ndarray) -> np.ndarray:
     return deviance(power, best_gain("gamma", power, mu, 1.0, BOUND) * mu, 1.0)
 
 
-def bounded_loss(measured: np.ndarray, predicted: np.ndarray) -> float:
-    """Mean gamma loss of a pixel over `BOUND`, of which none counts for much more than 1."""
-    return float(bounded(0.5 * deviances(measured, predicted), BOUND).mean()) / BOUND
-
-
 def mean_deviance(measured: np.ndarray, predicted: np.ndarray) -> float:
     return float(deviances(measured, predicted).mean())
-
-
-def _least(
-    measured: np.ndarray, predicted: np.ndarray, reach: Reach, loss: Callable[[np.ndarray, np.ndarray], float]
-) -> tuple[Shift, Callable[[Shift], float]]:
-    """The shift of least loss that steps of one pixel lead to from the best correlation; and the loss at any shift,
-    infinite beyond the reach."""
-    power = reach.window(measured)
-
-    @cache
-    def score(at: Shift) -> float:
-        return loss(power, reach.window(predicted, at)) if reach.holds(at) else np.inf
-
-    at = best_shift(measured, predicted, reach)[1]
-    while (better := min(((at[0] + i, at[1] + j) for i, j in CROSS), key=score)) != at:
-        at = better
-    return at, score
 
 
 def own_shift(measured: np.ndarray, predicted: np.ndarray, reach: Reach) -> Shift:
     """The aim point that the likelihood chooses, by whole pixels: the least bounded gamma loss, from the shift of the
     best correlation on."""
-    return _least(measured, predicted, reach, bounded_loss)[0]
+    return MeasuredImage(measured, reach).own_shift(predicted)
 
 
 def aimed_deviance(measured: np.ndarray, predicted: np.ndarray, reach: Reach) -> float:
-    """Mean deviance at the model's best aim point, between the pixels: where parabolas through the best shift and its
-    neighbours have their least value. By whole pixels a profile over a size would have steps, and its least value a
-    bias."""
-    at, score = _least(measured, predicted, reach, mean_deviance)
-    here, up, down, left, right = (score((at[0] + i, at[1] + j)) for i, j in CROSS)
-    step = [
-        (before - after) / (2.0 * (before + after - 2.0 * here))
-        if np.isfinite(before + after) and before + after > 2.0 * here
-        else 0.0
-        for before, after in ((up, down), (left, right))
-    ]
-    if not any(step):
-        return here
-    wide = reach.window(predicted, at, ROOM_PX)
-    between = shift(wide, np.clip(step, -0.5, 0.5), mode="nearest")[ROOM_PX:-ROOM_PX, ROOM_PX:-ROOM_PX]
-    return min(here, mean_deviance(reach.window(measured), between))
+    """As `MeasuredImage.deviance`."""
+    return MeasuredImage(measured, reach).deviance(predicted)
+
+
+class MeasuredImage:
+    """A measured image beside predictions that may be shifted. What is of it alone is found once: a search asks for
+    hundreds of predictions."""
+
+    def __init__(self, measured: np.ndarray, reach: Reach) -> None:
+        self._measured, self._reach = measured, reach
+
+    @cached_property
+    def _roots(self) -> tuple[np.ndarray, float, tuple[int, int]]:
+        """Transform of the compared window's fourth roots about their mean, their sum of squares, and its shape."""
+        own = self._reach.window(roots(self._measured))
+        own = own - own.mean()
+        return rfft2(own[::-1, ::-1], self._measured.shape), float((own**2).sum()), own.shape
+
+    @cached_property
+    def _power(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Which pixels of the window are used, their power, and its logarithm."""
+        power = self._reach.window(self._measured)
+        use = np.isfinite(power)
+        used = power[use].astype(float)
+        used = np.maximum(used, LEAST * np.median(used))
+        return use, used, np.log(used)
+
+    def best_shift(self, predicted: np.ndarray) -> tuple[float, Shift]:
+        """The largest correlation of fourth roots over all shifts of the prediction, and its shift."""
+        transform, square, shape = self._roots
+        wide = roots(predicted)
+        wide = wide - wide.mean()  # the less there is to subtract below
+        total, squares = (
+            sliding_window_view(np.pad(one.cumsum(0).cumsum(1), ((1, 0), (1, 0))), [n + 1 for n in shape])
+            for one in (wide, wide**2)
+        )
+        sums, powers = (w[..., -1, -1] - w[..., 0, -1] - w[..., -1, 0] + w[..., 0, 0] for w in (total, squares))
+        spread = np.maximum(powers - sums**2 / np.prod(shape), 1e-12 * float((wide**2).sum()) + 1e-300)
+        # where the window lies inside, nothing comes round from the other side
+        valid = irfft2(transform * rfft2(wide), wide.shape)[shape[0] - 1 :, shape[1] - 1 :]
+        found = valid / np.sqrt(spread * max(square, 1e-300))
+        row, col = np.unravel_index(found.argmax(), found.shape)
+        return float(found[row, col]), (self._reach.rows - int(row), self._reach.cols - int(col))
+
+    def own_shift(self, predicted: np.ndarray) -> Shift:
+        """The shift of least bounded loss that steps of one pixel lead to from the best correlation."""
+        return self._least(predicted, lambda terms: float(bounded(terms, BOUND).mean()))[0]
+
+    def deviance(self, predicted: np.ndarray) -> float:
+        """Mean deviance at the model's best aim point, between the pixels: where parabolas through the best shift and
+        its neighbours have their least value. By whole pixels a profile over a size would have steps, and its least
+        value a bias."""
+        at, score = self._least(predicted, lambda terms: 2.0 * float(terms.mean()))
+        here, up, down, left, right = (score((at[0] + i, at[1] + j)) for i, j in CROSS)
+        step = [
+            (before - after) / (2.0 * (before + after - 2.0 * here))
+            if np.isfinite(before + after) and before + after > 2.0 * here
+            else 0.0
+            for before, after in ((up, down), (left, right))
+        ]
+        if not any(step):
+            return here
+        wide = self._reach.window(predicted, at, ROOM_PX)
+        between = shift(wide, np.clip(step, -0.5, 0.5), mode="nearest")[ROOM_PX:-ROOM_PX, ROOM_PX:-ROOM_PX]
+        return min(here, mean_deviance(self._reach.window(self._measured), between))
+
+    def _least(
+        self, predicted: np.ndarray, loss: Callable[[np.ndarray], float]
+    ) -> tuple[Shift, Callable[[Shift], float]]:
+        """The shift of least loss that steps of one pixel lead to from the best correlation; and the loss at any shift,
+        infinite beyond the reach. A loss is of half deviances, at the gain of least bounded loss."""
+        use, power, logarithm = self._power
+        inverse = 1.0 / np.maximum(predicted, FAINTEST * np.median(self._reach.window(predicted)))
+        logarithms = np.log(inverse)
+        gains: list[float] = []  # the next one is near the last one
+
+        @cache
+        def score(at: Shift) -> float:
+            if not self._reach.holds(at):
+                return np.inf
+            ratio = power * self._reach.window(inverse, at)[use]
+            own = logarithm + self._reach.window(logarithms, at)[use]
+            start = gains[-1] if gains else float(np.median(own))
+            gains.append(bounded_level(ratio, own, 1.0, BOUND, start, SAME_GAIN))
+            return loss(ratio * np.exp(-gains[-1]) - (1.0 - gains[-1]) - own)
+
+        at = self.best_shift(predicted)[1]
+        while (better := min(((at[0] + i, at[1] + j) for i, j in CROSS), key=score)) != at:
+            at = better
+        return at, score

@@ -267,8 +267,7 @@ def beside(scene: Scene, view: View, polarization: str, model: Modelled) -> Comp
     seen = observe(scene, view, polarization, model.covered & (model.beta0 > 0))
     mu = model.beta0[seen.interior]
     gain = 1.0 if scene.grid.calibrated else best_gain("gamma", seen.values, mu, seen.looks)
-    accuracy = scene.accuracy_m or 0.0
-    reach = [max(ALLOWED_PX, SURE_SDS * accuracy / step) for step in scene.grid.spacing_m]
+    reach = granted_px(scene)
     grid = hit_grid(scene)
     return Comparison(
         seen=seen,
@@ -288,6 +287,12 @@ def beside(scene: Scene, view: View, polarization: str, model: Modelled) -> Comp
         start_m=grid.start_m,
         spacing_m=grid.spacing_m,
     )
+
+
+def granted_px(scene: Scene) -> list[float]:
+    """Rows and columns by which outlines may lie off: what the scene's accuracy grants, at least `ALLOWED_PX`."""
+    accuracy = scene.accuracy_m or 0.0
+    return [max(ALLOWED_PX, SURE_SDS * accuracy / step) for step in scene.grid.spacing_m]
 
 
 def _smeared(scene: Scene, view: View) -> float:

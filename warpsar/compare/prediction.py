@@ -191,7 +191,8 @@ def _by_incidence(images: Sequence[PredictedImage]) -> list[list[PredictedImage]
 @dataclass(frozen=True)
 class Advantage:
     """By how much a model's correlation is above that of the best `rival`, with its standard error over the images,
-    and the same of the deviance, below it. `sector`: whether over unseen sectors alone."""
+    and the same of the deviance, below that of the rival of least deviance. `sector`: whether over unseen sectors
+    alone."""
 
     rival: str
     correlation: float
@@ -199,6 +200,7 @@ class Advantage:
     deviance: float
     sector: bool
     images: int
+    deviance_error: float = 0.0
 
     @property
     def ahead(self) -> bool:
@@ -206,14 +208,27 @@ class Advantage:
         return self.correlation > SURE * self.error and self.deviance > 0.0
 
     @property
+    def open(self) -> bool:
+        """Whether the two measures disagree, and the deviance may be wrong: the model correlates surely better, and is
+        behind in deviance by no more than its error."""
+        behind = -self.deviance
+        return self.correlation > SURE * self.error and 0.0 <= behind <= SURE * self.deviance_error
+
+    @property
     def words(self) -> str:
         where = "of unseen sectors" if self.sector else "between train views"
+        what = "a box of its size" if self.rival == BOX else f"the best rival ({self.rival})"
         beside = (
-            f"correlation {self.correlation:+.3f} +- {self.error:.3f}, deviance {-self.deviance:+.3f}, "
-            f"beside {'a box of its size' if self.rival == BOX else f'the best rival ({self.rival})'}"
+            f"correlation {self.correlation:+.3f} +- {self.error:.3f}, deviance {-self.deviance:+.3f} +- "
+            f"{self.deviance_error:.3f}, beside {what}"
         )
         if self.ahead:
             return f"{self.images} test images {where}: {beside}"
+        if self.open:
+            return (
+                f"{self.images} test images {where}: {beside}; by correlation the model predicts better, by deviance "
+                "that is not told"
+            )
         rival = "by a box of its size" if self.rival == BOX else "by a picture of other measured images"
         return (
             f"not this body, or not its model: {self.images} test images {where} are predicted no better than {rival} "
@@ -232,8 +247,10 @@ def advantage(
     if not others:
         return None
     rival = max(others, key=lambda key: np.mean([image.predictions[key].correlation for image in mine]))
-    least = min(np.mean([image.predictions[key].deviance for image in mine]) for key in others)
+    deviances = {key: np.array([image.predictions[key].deviance for image in mine]) for key in (*others, name)}
+    below = deviances[min(others, key=lambda key: deviances[key].mean())] - deviances[name]
     gain = np.array([i.predictions[name].correlation - i.predictions[rival].correlation for i in mine])
-    error = float(gain.std(ddof=1) / np.sqrt(gain.size)) if gain.size > 1 else float("inf")
-    below = float(least - np.mean([image.predictions[name].deviance for image in mine]))
-    return Advantage(rival, float(gain.mean()), error, below, sector, len(mine))
+    error, of_deviance = (
+        float(one.std(ddof=1) / np.sqrt(one.size)) if one.size > 1 else float("inf") for one in (gain, below)
+    )
+    return Advantage(rival, float(gain.mean()), error, float(below.mean()), sector, len(mine), of_deviance)

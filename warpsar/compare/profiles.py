@@ -1,9 +1,10 @@
 """Whether the power of rows, or of columns, is off the model.
 
 A gain with a ripple, an antenna pattern or a smear changes every pixel of a row a little: no window by itself shows it.
-So the residual is summed over single rows, over bands of three, and over the two sides of every cut between rows; and
-likewise over columns. The sums are compared with those of draws of speckle. Single lines show lines that were lost,
-bands a ripple, and the sides of a cut two parts of an image that were calibrated apart.
+So the residual is summed over single rows, over bands of three, over the two sides of every cut between rows, and in
+step with waves; and likewise over columns. The sums are compared with those of draws of speckle. Single lines show
+lines that were lost, bands a smear, the sides of a cut two parts of an image that were calibrated apart, and waves a
+ripple that no line by itself shows.
 """
 
 from __future__ import annotations
@@ -18,8 +19,12 @@ from scipy.special import chdtrc
 from warpsar.compare.comparison import Comparison
 
 BANDS = (1, 3)  # rows, or columns, of a band
+SHORTEST = 6  # lines of a wave
+PHASES = 4  # of each wave: the nearest loses 8 % of its size
 FEWEST = 30  # pixels of a band, or of a side of a cut, that counts
 MOST = 700.0  # -ln p: beyond it exp is 0
+STEP = 2.0  # at a cut, over the mean of both sides
+WAVE = 4.0 / (np.pi * np.sqrt(2.0))  # the root mean square of a wave, over its mean
 AXES = ("range", "azimuth")
 TOGETHER = "several images together"
 
@@ -27,8 +32,8 @@ TOGETHER = "several images together"
 @dataclass(frozen=True)
 class AxisProfile:
     """How far power is off along one axis of an `image`, or of several together: `rms_db`, the root mean square over
-    bands of rows or columns, or the step at a cut, without what speckle makes of it [dB]. `surprise`: -ln of the chance
-    of so much beyond what is granted, if bands were independent."""
+    bands of rows or columns or of a wave, or the step at a cut, without what speckle makes of it [dB]. `surprise`: -ln
+    of the chance of so much beyond what is granted, if sums were independent."""
 
     image: str
     axis: str
@@ -43,16 +48,17 @@ class AxisProfile:
 @dataclass(frozen=True)
 class _Sums:
     """Weighted sums of lines, that are asked together: `weights`, shape (sums, lines), and the `variance` that speckle
-    gives them, shape (sums,). `strongest`: whether the strongest sum counts, or the squares of all."""
+    gives them, shape (sums,). `strongest`: what the departure of the strongest sum is in units of its mean over the
+    lines, if that sum counts; None where the squares of all do."""
 
     weights: np.ndarray
     variance: np.ndarray
-    strongest: bool
+    strongest: float | None
 
     def surprise(self, squares: np.ndarray) -> np.ndarray:
         """-ln of the chance of such squares over their variances, shape (sums, draws), by speckle; shape (draws,)."""
         count = len(squares)
-        if self.strongest:
+        if self.strongest is not None:
             return np.maximum(_surprise(squares.max(axis=0), 1) - np.log(count), 0.0)
         return _surprise(squares.sum(axis=0), count)
 
@@ -97,9 +103,9 @@ class Profiles:
             beyond = np.maximum(off - allowed, 0.0) ** 2 / sums.variance
             surprise = float(sums.surprise(beyond[:, None])[0])
             if surprise > best.surprise:
-                counted = slice(None) if not sums.strongest else [int(np.argmax(beyond))]
+                counted = slice(None) if sums.strongest is None else [int(np.argmax(beyond))]
                 square = (off**2 - sums.variance)[counted].sum() / max(float((allowed[counted] ** 2).sum()), 1e-30)
-                rms = granted * (2.0 if sums.strongest else 1.0) * float(np.sqrt(max(square, 0.0)))
+                rms = granted * (sums.strongest or 1.0) * float(np.sqrt(max(square, 0.0)))
                 name = TOGETHER if len(group) > 1 else self.images[group[0]].name
                 best = AxisProfile(name, AXES[axis], 10.0 * float(np.log10(1.0 + rms)), surprise)
         return best
@@ -122,7 +128,7 @@ def _lines(image: Comparison, axis: int) -> csr_array:
 
 
 def _sums_of(counts: np.ndarray, lags: np.ndarray) -> list[_Sums]:
-    """What is asked of lines with so many pixels: bands of each width, and the sides of every cut. `lags`: the
+    """What is asked of lines with so many pixels: bands of each width, the sides of every cut, and waves. `lags`: the
     residual's autocovariance across lines, summed along them."""
     lines = np.arange(counts.size)
     away = np.abs(np.arange(lags.size) - lags.size // 2)
@@ -132,7 +138,7 @@ def _sums_of(counts: np.ndarray, lags: np.ndarray) -> list[_Sums]:
         pixels = bands @ counts
         inflation = max(float(lags @ np.maximum(1.0 - away / width, 0.0)), 1e-3)
         use = pixels >= FEWEST
-        found.append(_Sums(bands[use], pixels[use] * inflation, strongest=False))
+        found.append(_Sums(bands[use], pixels[use] * inflation, strongest=None))
     below = np.cumsum(counts)[:-1]
     above = counts.sum() - below
     use = np.minimum(below, above) >= FEWEST
@@ -141,8 +147,25 @@ def _sums_of(counts: np.ndarray, lags: np.ndarray) -> list[_Sums]:
     first = lines < lines[1:][use][:, None]
     sides = np.where(first, above[:, None] / whole, -below[:, None] / whole) * (counts > 0)
     inflation = max(float(lags.sum()), 1e-3)
-    found.append(_Sums(sides, inflation * below * above / whole[:, 0], strongest=True))
+    found.append(_Sums(sides, inflation * below * above / whole[:, 0], strongest=STEP))
+    found.append(_waves(counts, lags))
     return [one for one in found if len(one.variance)]
+
+
+def _waves(counts: np.ndarray, lags: np.ndarray) -> _Sums:
+    """Sums in step with waves: from one that fills the lines that have pixels to the shortest, by halves of a wave."""
+    there = np.flatnonzero(counts)
+    lines = np.arange(counts.size)
+    span = int(np.ptp(there)) + 1 if there.size else 0
+    frequency = np.arange(2, 2 * span // SHORTEST + 1) / (2.0 * max(span, 1))
+    phase = np.repeat(np.arange(PHASES) * np.pi / PHASES, frequency.size)
+    angle = 2.0 * np.pi * np.tile(frequency, PHASES)
+    weights = np.cos(angle[:, None] * lines + phase[:, None])
+    weights = (weights - (weights @ counts / max(counts.sum(), 1))[:, None]) * (counts > 0)
+    away = np.arange(lags.size) - lags.size // 2
+    inflation = np.maximum(np.cos(angle[:, None] * away) @ lags, 1e-3)
+    enough = np.full(angle.size, counts.sum() >= FEWEST * SHORTEST)
+    return _Sums(weights[enough], (inflation * (weights**2 @ counts))[enough], strongest=WAVE)
 
 
 def _surprise(squares: np.ndarray, bands: int) -> np.ndarray:

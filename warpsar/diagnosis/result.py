@@ -31,6 +31,7 @@ from warpsar.diagnosis.search.procedure import diagnose_scene
 from warpsar.diagnosis.single_views import may_be_angles, with_own_angles
 from warpsar.effects.registry import get
 from warpsar.errors import refuse_kind
+from warpsar.learning.pose_sharing import Box, boxes
 from warpsar.learning.trust import doubts, outside_domains
 from warpsar.runtime import devices, once
 from warpsar.scene.scene import Scene, scene_or_file
@@ -48,7 +49,8 @@ def not_established(diagnosis: Diagnosis, verdicts: Mapping[str, Judgement]) -> 
 
     What the time left on trial is none. Beside edges that do not agree, nothing that moves edges is, be it a body, an
     angle or a shift of images, nor an effect whose own test does not confirm it. Beside structure, such effects and
-    angles and spacings of the sensor are not: a body lies at one place, and what is left may lie at another.
+    angles and spacings of the sensor are not. A body lies at one place, and what is left may lie at another: its pose
+    and its size are not where the strongest window lies on it or its shadow.
     """
     left = {one for verdict in verdicts.values() for one in verdict.findings}
     why = {}
@@ -58,13 +60,29 @@ def not_established(diagnosis: Diagnosis, verdicts: Mapping[str, Judgement]) -> 
         elif is_geometry(name):
             if "edges" in left and of(name).edges_doubt:
                 why[name] = "edges do not agree with it"
-            elif "structure" in left and of(name).structure_doubts:
+            elif "structure" in left and of(name).structure_doubts == "anywhere":
                 why[name] = "structure is left with it"
+            elif of(name).structure_doubts == "on it" and _is_left_on(diagnosis, verdicts, object_of(name)):
+                why[name] = "structure is left on it"
         elif "edges" in left and get(name).stage == "position":
             why[name] = "edges do not agree with it"
         elif {"edges", "structure"} & left and not diagnosis.signed(name):
             why[name] = "what is left may be what it stands in for, and its own test does not confirm it"
     return why
+
+
+def _is_left_on(diagnosis: Diagnosis, verdicts: Mapping[str, Judgement], label: str) -> bool:
+    """Whether the strongest window of a role, if no speckle makes it, meets the pixels of a body and its shadow."""
+    for verdict in verdicts.values():
+        if "structure" not in verdict.findings or verdict.p_window >= SHARE:
+            continue
+        scene, window = diagnosis.final.scene, verdict.window
+        view = next(view for view in scene.views if view.name == window.view)
+        body = (boxes(scene, view) or {}).get(label)
+        low = window.row - window.rows // 2, window.col - window.columns // 2
+        if body is not None and body.meets(Box(low, (low[0] + window.rows, low[1] + window.columns))):
+            return True
+    return False
 
 
 OPEN = 1e-3  # chance that a surface which explains all views costs train views more likelihood than is allowed

@@ -12,12 +12,15 @@ from dataclasses import replace
 from itertools import groupby
 from typing import Any
 
-from warpsar.compare.comparison import Comparison
+import numpy as np
+
+from warpsar.compare.comparison import Comparison, granted_px
 from warpsar.compare.judgement import Judgement
 from warpsar.diagnosis.found import Diagnosis
 from warpsar.diagnosis.geometry.registry import of, sensor_changes
 from warpsar.diagnosis.models.judge import under
 from warpsar.diagnosis.models.names import object_of
+from warpsar.diagnosis.models.projection import pixel_of
 from warpsar.learning.geometry import with_free
 from warpsar.learning.pose_search import FoundPoses, find_poses
 from warpsar.parameters.at import at
@@ -54,7 +57,10 @@ def with_own_angles(diagnosis: Diagnosis, stated: Scene) -> Diagnosis:
 def _turned(
     diagnosis: Diagnosis, scene: Scene, stated: Scene, view: str
 ) -> tuple[Scene, str, dict[str, dict[str, Any]]] | None:
-    """The scene with the number of the view alone that explains it best, its name and values; None where none does."""
+    """The scene with the number of the view alone that explains it best, its name and values; None where none does.
+
+    An angle that moves outlines by less than is granted them explains nothing: it follows what a surface lacks.
+    """
     asked = [
         one
         for change in sensor_changes()
@@ -72,10 +78,23 @@ def _turned(
     if best is None:
         return None
     turned = at(scene, {scene.parameters[one]: best.scene.parameters[one].value for one in chosen.parameters})
+    if np.all(_moved_px(scene, turned, view) < granted_px(scene)):
+        return None
     images = [one for one in under(diagnosis.judge(turned, "test"), stated) if one.view.name == view]
     if _judgement(diagnosis, images).wrong:
         return None
     return turned, chosen.name, of(chosen.name).values(diagnosis.scene, turned, chosen.label, {}, best)
+
+
+def _moved_px(scene: Scene, turned: Scene, view: str) -> np.ndarray:
+    """Rows and columns by which the mesh's corners within the view's image move at most, shape (2,)."""
+    points = np.unique(scene.mesh.vertices[scene.mesh.faces.ravel()], axis=0) - scene.reference_point_m
+    before, after = (
+        np.array(pixel_of(one, next(each for each in one.views if each.name == view), points))
+        for one in (scene, turned)
+    )
+    inside = np.all((before >= 0) & (before < np.array(scene.grid.shape)[:, None]), axis=0)
+    return np.abs(after - before)[:, inside].max(axis=1, initial=0.0)
 
 
 def _judgement(diagnosis: Diagnosis, images: list[Comparison]) -> Judgement:

@@ -20,7 +20,7 @@ from warpsar.effects.base.trial import Context, ScoreStep, Trial
 def _width(name: str) -> EffectParameter:
     axis = name.removesuffix("_fwhm_m")
     meaning = f"Full width of the kernel in {axis}, at half its maximum."
-    return amount(name, "m", 1e4, 1.0, (1e-3, 1e4), meaning)
+    return amount(name, "m", 1e4, 1.0, (1e-3, 1e4), meaning, grows_by=2.0)
 
 
 def _is_window(value: Any) -> bool:
@@ -66,8 +66,11 @@ class PointSpread(Effect):
     settings = (_WINDOW,)
 
     def parts(self, image: SeenImage, table: Mapping[str, Any]) -> Mapping[str, np.ndarray]:
-        """It shows on edges and on points alike."""
-        return {"edges": image.edges, "points": image.points}
+        """It shows on edges and on points alike, and is as wide at near range as at far range: a defocus that grows
+        along range is no one response."""
+        shown = image.edges | image.points
+        ends = {name: part & shown for name, part in image.ends_of_range().items()}
+        return {"edges": image.edges, "points": image.points, **ends}
 
     def trials(self, context: Context) -> list[Trial]:
         """The step is one pixel's width, where the neighbours get 6 %: sampled at pixel centres, a narrower kernel is

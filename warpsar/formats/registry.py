@@ -104,9 +104,23 @@ def _with_products() -> list[str]:
     return [name for name in names() if get(name).products is not None]
 
 
+def _folders() -> dict[str, tuple[str, str]]:
+    """Formats that are handed on as folders: the folder inside, and what users call it."""
+    return {name: folder for name in names() if (folder := get(name).folder) is not None}
+
+
+def _within(path: Path) -> str:
+    """Which folder to name in place of a file that lies in one, as a clause; empty where it lies in none."""
+    for folder in path.absolute().parents[:2]:
+        for inside, called in _folders().values():
+            if (folder / inside).is_dir():
+                return f"; it lies in {called}, which says it: name {folder}"
+    return ""
+
+
 def _of_folder(path: Path) -> str:
     """The name of a folder's format; raises InputError for one that has none."""
-    folders = {name: folder for name in names() if (folder := get(name).folder) is not None}
+    folders = _folders()
     for name, (inside, _) in folders.items():
         if (path / inside).is_dir():
             return name
@@ -136,7 +150,8 @@ def products(
         raise InputError(f"format {name!r}: not known; use one of auto, {', '.join(names())}")
     one = get(name)
     if one.products is None:
-        raise InputError(f"{path}: found {one.title}, {one.no_products}; must be one of {', '.join(_with_products())}")
+        allowed = _within(path) or f"; must be one of {', '.join(_with_products())}"
+        raise InputError(f"{path}: found {one.title}, {one.no_products}{allowed}")
     if one.extra is not None:
         one.extra.require(f"{path}: {one.title}")
     return one.products(path, polarization)

@@ -155,14 +155,20 @@ def _bounded_mean(ratio: np.ndarray, looks: float, bound: float, same: float) ->
     """The logarithm of the mean of `ratio`, each pixel weighted by its share of the slope."""
     if bound <= 0:
         return float(np.log(np.mean(ratio)))
-    logarithm = np.log(ratio)  # once: what costs most
-    level = float(np.log(np.median(ratio)))
+    return bounded_level(ratio, np.log(ratio), looks, bound, float(np.log(np.median(ratio))), same)  # what costs most
+
+
+def bounded_level(
+    ratio: np.ndarray, logarithm: np.ndarray, looks: float, bound: float, start: float, same: float = SAME_GAIN
+) -> float:
+    """The logarithm of the gain of least bounded gamma loss, sought from `start` on, where the logarithm of `ratio`,
+    measured over modelled power, is known."""
 
     def turn(x: float) -> float:
         shares = _shares(looks * (ratio * np.exp(-x) - (1.0 - x) - logarithm), bound)
         return float(np.log(shares @ ratio / shares.sum()))
 
-    return _settled(turn, level, same)
+    return _settled(turn, start, same)
 
 
 def _newton(

@@ -7,12 +7,13 @@ import threading
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import warp as wp
 
-from warpsar.compare.aim import Reach, aimed, aimed_deviance, best_shift, stated_aims, with_aims
+from warpsar.compare.aim import MeasuredImage, Reach, aimed, best_shift, stated_aims, with_aims
 from warpsar.compare.prediction import PredictedImage, compared, measured_of, predicted
 from warpsar.compare.rivals import Seen
 from warpsar.diagnosis.geometry.registry import content, scene_with
@@ -21,6 +22,7 @@ from warpsar.learning.geometry import still
 from warpsar.learning.optimise import levenberg_marquardt
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.results import learned_scene
+from warpsar.runtime import threads
 from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import Rays
 from warpsar.surface.stage import Stage
@@ -30,6 +32,7 @@ ITERATIONS = 6
 FLAT, KEPT_WITHIN = 0.5, 0.05
 FITTED = 0.8  # of the window's rows and columns, about the middle, that a fit looks at: far ground says nothing new
 KEPT = 2  # sets of rays
+FEW_RAYS = 0.125
 BOUND = 0.5
 """Of a pixel's loss in a fit. A few glints, where a strong scatterer stands in for speckle, else outvote the rest: the
 body's mean would follow them, and most of its pixels would be too bright."""
@@ -90,6 +93,12 @@ def with_other_rays(scene: Scene) -> Scene:
     return replace(scene, sampling=scene.sampling.model_copy(update={"seed": scene.sampling.seed + 1}))
 
 
+def with_few_rays(scene: Scene) -> Scene:
+    """The same model on `FEW_RAYS` of its rays."""
+    density = FEW_RAYS * scene.sampling.density_per_m2(scene.grid)
+    return replace(scene, sampling=scene.sampling.model_copy(update={"rays_per_pixel": None, "rays_per_m2": density}))
+
+
 class TrainViews:
     """The train views of a scene, and what a model of some of them is asked about the others.
 
@@ -104,6 +113,7 @@ class TrainViews:
         self._measured: dict[tuple[str, str], np.ndarray] = {
             (v.name, p): measured_of(scene, v, p) for v in self.views for p in v.images
         }
+        self._beside = {key: MeasuredImage(power, self.reach) for key, power in self._measured.items()}
         window = self.reach.window(np.empty(scene.grid.shape)).shape
         shape = tuple(n - 2 * round(0.5 * (1.0 - FITTED) * n) for n in window)
         found = self._aimed(scene) if aimed(scene) else scene
@@ -142,12 +152,13 @@ class TrainViews:
 
     def scores(self, scene: Scene, names: Sequence[str]) -> np.ndarray:
         """Mean gamma deviance of each view at the model's best aim point, shape (names,): lower is better."""
-        found = []
-        for name, image in zip(names, self.images(scene, names), strict=True):
-            measured = {pol: power for (view, pol), power in self._measured.items() if view == name}
-            each = [aimed_deviance(power, image[pol], self.reach) for pol, power in measured.items()]
-            found.append(float(np.mean(each)))
-        return np.array(found)
+
+        def score(name: str, image: Mapping[str, np.ndarray]) -> float:
+            measured = {pol: one for (view, pol), one in self._beside.items() if view == name}
+            return float(np.mean([one.deviance(image[pol]) for pol, one in measured.items()]))
+
+        tasks = [partial(score, name, image) for name, image in zip(names, self.images(scene, names), strict=True)]
+        return np.array(list(threads.in_threads(tasks)))
 
     def beside(self, scenes: Mapping[str, Scene], names: Sequence[str], others: Sequence[str]) -> list[PredictedImage]:
         """The views `names` beside what each scene predicts, and beside the rivals that `others` make."""

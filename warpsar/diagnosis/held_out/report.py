@@ -47,6 +47,8 @@ def _of_body(result: HeldOut) -> str:
     pictures, box = result.of_pictures, result.of_box
     if result.undecided:
         return f"no lead is claimed: {_unasked(result)}"
+    if result.open:
+        return "whether it is this body is not told: it correlates better than every rival, and by deviance it may not"
     if not result.ahead:
         return "not this body"
     if box is None or pictures is None:

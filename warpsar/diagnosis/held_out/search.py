@@ -46,9 +46,11 @@ from warpsar.diagnosis.held_out.glints import NAME as GLINTS
 from warpsar.diagnosis.held_out.hypotheses import EffectHypothesis, hypotheses, level_of
 from warpsar.diagnosis.held_out.model import (
     FitRays,
+    FittedViews,
     TrainViews,
     scene_content,
     scene_of,
+    with_few_rays,
     with_other_rays,
 )
 from warpsar.diagnosis.models.change import as_declared
@@ -105,6 +107,15 @@ class Model:
     scenes: list[Scene]
     scores: np.ndarray
     again: Model | None = None
+
+
+@dataclass(frozen=True)
+class _Ends:
+    """Fitted scenes of some parts, scores, and which of several starts they began from."""
+
+    scenes: list[Scene]
+    scores: np.ndarray
+    start: int = 0
 
 
 @dataclass(frozen=True)
@@ -175,6 +186,12 @@ class HeldOut:
     def explained(self) -> bool:
         """Whether the views left out have nothing but speckle left. A box may then be what the body is."""
         return _is_speckle(np.array(list(self.after.values())))
+
+    @property
+    def open(self) -> bool:
+        """Whether it is not ahead, and no rival surely predicts as well either."""
+        failed = [one for one in self.advantages if not one.ahead]
+        return not self.ahead and not self.undecided and all(one.open for one in failed)
 
     @property
     def ahead(self) -> bool:
@@ -328,34 +345,51 @@ class FoldSearch:
         return np.array([scores[name] for name in self.order])
 
     def _fitted(
-        self, starts: Sequence[Scene], enough: Callable[[np.ndarray], bool] = lambda scores: False
+        self,
+        starts: Sequence[Scene],
+        enough: Callable[[np.ndarray], bool] = lambda scores: False,
+        other: Sequence[Scene] | None = None,
     ) -> Model | None:
         """The model fitted, the first part by all cores, the others side by side. None where the scores of the first
-        part's views, in their order in the fold, are `enough` to know."""
-        tasks = [partial(self.fits.fitted, scene, self._rest(part)) for part, scene in enumerate(starts)]
+        part's views, in their order in the fold, are `enough` to know. With `other` starts, from those that the first
+        part's fit ends lower from."""
+        choices = [starts] if other is None else [starts, other]
 
-        def first_part() -> tuple[list[Scene], np.ndarray]:
-            scene = tasks[0]().scene
-            return [scene], self.trained.scores(scene, self.folds[0])
+        def tasks(choice: Sequence[Scene], parts: range) -> list[Callable[[], FittedViews]]:
+            return [partial(self.fits.fitted, choice[part], self._rest(part)) for part in parts]
 
-        def rest() -> tuple[list[Scene], np.ndarray]:
-            scenes = [one.scene for one in threads.ordered(tasks[1:], self.device)]
-            return scenes, self._scored([*ahead, *scenes], first)
+        def first_part() -> _Ends:
+            fits = [task for choice in choices for task in tasks(choice, range(1))]
+            ends = list(threads.ordered(fits, self.device))
+            best = int(np.argmin([one.loss for one in ends]))
+            scene = ends[best].scene
+            return _Ends([scene], self.trained.scores(scene, self.folds[0]), best)
 
-        ahead, first = self._kept(first_part)
+        def rest() -> _Ends:
+            fits = tasks(choices[ahead.start], range(1, len(starts)))
+            scenes = [one.scene for one in threads.ordered(fits, self.device)]
+            return _Ends(scenes, self._scored([*ahead.scenes, *scenes], ahead.scores))
+
+        ahead = self._kept(first_part)
         self._progress()
-        if enough(first):
+        if enough(ahead.scores):
             return None
-        scenes, scores = self._kept(rest)
+        whole = self._kept(rest)
         self._progress()
-        return Model([*ahead, *scenes], scores)
+        return Model([*ahead.scenes, *whole.scenes], whole.scores)
 
-    def _kept(self, run: Callable[[], tuple[list[Scene], np.ndarray]]) -> tuple[list[Scene], np.ndarray]:
+    def _kept(self, run: Callable[[], _Ends]) -> _Ends:
         """What `run` gives, or gave in an earlier part of the run."""
         return self._log.following(
             run,
-            lambda found: {"scenes": [scene_content(self.start, one) for one in found[0]], "scores": found[1].tolist()},
-            lambda entry: ([scene_of(self.start, one) for one in entry["scenes"]], np.array(entry["scores"])),
+            lambda found: {
+                "scenes": [scene_content(self.start, one) for one in found.scenes],
+                "scores": found.scores.tolist(),
+                "start": found.start,
+            },
+            lambda entry: _Ends(
+                [scene_of(self.start, one) for one in entry["scenes"]], np.array(entry["scores"]), entry["start"]
+            ),
         )
 
     def _scored_moved(self, now: Sequence[Scene], change: Callable[[Scene], Scene]) -> np.ndarray:
@@ -364,8 +398,8 @@ class FoldSearch:
             lambda: self._scored([change(scene) for scene in now]), lambda found: found.tolist(), np.array
         )
 
-    def _surely_fitted(self, starts: Sequence[Scene]) -> Model:
-        model = self._fitted(starts)
+    def _surely_fitted(self, starts: Sequence[Scene], other: Sequence[Scene] | None = None) -> Model:
+        model = self._fitted(starts, other=other)
         assert model is not None
         return model
 
@@ -508,15 +542,31 @@ class FoldSearch:
 
     def _glance(self, model: Model, some: Sequence[EffectHypothesis]) -> None:
         """A first fit of each on the first part, with the aim points held: the gain of the views left out, its standard
-        error, the table where it begins, and whether on the declared surface."""
+        error, the table where it begins, and whether on the declared surface. An effect that follows rays anew
+        is fitted only where a trace of it, on few rays, makes some views left out better: a fit takes minutes."""
         level, rest = self._level(model), self._rest(0)
         few, fewer = (_spread(rest, count) for count in (FEW, FEWER))
         ahead = [name for name in self.order if name in self.folds[0]]
         own = np.array([score for name, score in zip(self.order, model.scores, strict=True) if name in self.folds[0]])
         scene = model.scenes[0]
 
+        def traced(one: EffectHypothesis, tables: list[dict[str, Any]]) -> tuple[float, float, dict[str, Any], bool]:
+            some = _spread(ahead, FEWER)
+            coarse = with_few_rays(scene)
+            gains = [
+                self.trained.scores(coarse, some)
+                - self.trained.scores(one.started(coarse, one.trace_of(table), coarse), some)
+                for table in tables
+            ]
+            best = int(np.argmax([gain.mean() for gain in gains]))
+            return *mean_and_error(gains[best]), tables[best], False
+
         def glance(one: EffectHypothesis) -> tuple[float, float, dict[str, Any], bool]:
             tables = one.tables(scene, level)
+            if get(one.effect).follows_rays:
+                mean, error, table, on_declared = traced(one, tables)
+                if mean + error <= 0.0:
+                    return mean, error, table, on_declared
             if len(tables) > 1:
                 losses = [self.fits.loss_at_start(one.started(scene, table, scene), fewer) for table in tables]
                 tables = [tables[int(np.argmin(losses))]]
@@ -687,8 +737,7 @@ class FoldSearch:
         free = [one for one in own if one.parameter.root == "views" or one.parameter.owner in self.bodies]
         now, profiles = self._profiled(begun, free, offsets)
         # the rival at its best: the body's surface may lead it into a valley
-        fits = [self._surely_fitted(each) for each in (now, [as_declared(self.start, scene) for scene in now])]
-        self._rivals[name] = min(fits, key=_mean_score)
+        self._rivals[name] = self._surely_fitted(now, [as_declared(self.start, scene) for scene in now])
         return self._rivals[name], profiles
 
     def _draws(self) -> float:

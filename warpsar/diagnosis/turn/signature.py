@@ -187,7 +187,7 @@ def _slope(setup: FitSetup, scene: Scene, effect: str) -> list[np.ndarray]:
 
 
 def scaled(effect: str, table: Mapping[str, Any], amplitude: float) -> dict[str, Any]:
-    """The table with every parameter's distance from neutral times `amplitude`.
+    """The table with the effect times `amplitude`, by every parameter's distance from neutral.
 
     A parameter without a neutral value stays. One whose neutral value is infinite (a beam's width) acts by the inverse
     of its square.
@@ -198,7 +198,7 @@ def scaled(effect: str, table: Mapping[str, Any], amplitude: float) -> dict[str,
             return value
         if math.isinf(p.neutral):
             return value / math.sqrt(amplitude)
-        return float(np.clip(p.neutral + amplitude * (value - p.neutral), p.low, p.high))
+        return float(np.clip(p.neutral + amplitude ** (1.0 / p.grows_by) * (value - p.neutral), p.low, p.high))
 
     found = dict(table)
     for p in get(effect).parameters:

@@ -23,7 +23,8 @@ class EffectParameter:
     None leaves it neutral. `low` and `high`: the smallest and largest value allowed. `unit` and `description`, a
     sentence, are for people. `per_view`: a table of view name -> value. `zero_sum`: only differences from the mean over
     the scene's views act. `per_material`: a table of material name -> value; it has a value for each of the mesh's
-    materials, and stands last among the parameters.
+    materials, and stands last among the parameters. `grows_by`: the power of its distance from neutral by which the
+    effect grows: 2 for a width, whose blur grows by the square.
 
     A fit moves the coordinate x = ln(value / `span`) where `scale` is "log", and value / `span` where it is "linear".
     `span` is a large step of the value. The fit stays inside `fit_low` and `fit_high` (default: `low` and `high`).
@@ -41,6 +42,7 @@ class EffectParameter:
     zero_sum: bool = False
     per_material: bool = False
     unstated: float | None = None
+    grows_by: float = 1.0
     scale: Literal["linear", "log"] = "linear"
     span: float = 1.0
     fit_low: float | None = None

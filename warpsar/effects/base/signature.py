@@ -78,6 +78,14 @@ class SeenImage:
         left = np.broadcast_to(np.arange(self.lit.shape[1]) < self.lit.shape[1] // 2, self.lit.shape)
         return {"the left half": left, "the right half": ~left}
 
+    def ends_of_range(self) -> dict[str, np.ndarray]:
+        """The nearest and the farthest third of the lit rows."""
+        rows = np.flatnonzero(self.lit.any(axis=1))
+        first, last = (rows[0], rows[-1]) if rows.size else (0, 0)
+        row = np.broadcast_to(np.arange(self.lit.shape[0])[:, None], self.lit.shape)
+        third = (last - first) / 3.0
+        return {"near range": row < first + third, "far range": row > last - third}
+
     def by_material(self) -> dict[str, np.ndarray]:
         """The pixels of each material."""
         return {name: self.material == k for k, name in enumerate(self.materials)}

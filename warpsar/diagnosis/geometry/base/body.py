@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -116,6 +116,7 @@ class MovedBody(BodyChange):
     """A change that moves numbers of a body, by `keys` of its table, each a little at first: its Jacobian tells."""
 
     by_steps = True
+    structure_doubts: ClassVar[Literal["nowhere", "on it", "anywhere"]] = "on it"
     keys: ClassVar[frozenset[str]]
 
     def screened_words(self, one: Object) -> tuple[Learnable, ...]:

@@ -72,7 +72,8 @@ class GeometryChange:
     summary: ClassVar[str]
     section: ClassVar[Section]  # of diagnosis.json that has its values
     edges_doubt: ClassVar[bool] = True  # whether it has no name beside edges that do not agree
-    structure_doubts: ClassVar[bool] = False  # nor beside structure that is left
+    structure_doubts: ClassVar[Literal["nowhere", "on it", "anywhere"]] = "nowhere"
+    """Where structure that is left takes the name: a body lies at one place, and what is left may lie at another."""
 
     def coordinates(self, declared: Scene, scene: Scene, label: str) -> list[str]:
         """The dotted names of the parameters that a fit frees of it, in a scene that has the change."""

@@ -6,7 +6,7 @@ Images cannot tell it from a change of the whole scene; `reading` says of which.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 from warpsar.diagnosis.geometry.base.change import GeometryChange, Hypothesis, Section
 from warpsar.learning.pose_search import FoundPoses
@@ -18,7 +18,7 @@ class SensorChange(GeometryChange):
     """What is asked of such a change beside what is asked of all."""
 
     section: ClassVar[Section] = "sensor"
-    structure_doubts: ClassVar[bool] = True  # a body lies at one place, and what is left may lie at another
+    structure_doubts: ClassVar[Literal["nowhere", "on it", "anywhere"]] = "anywhere"
 
     def changed(self, declared: Scene, scene: Scene) -> dict[str, list[str]]:
         """What `scene` has unlike `declared`: dotted names of parameters, by the label of the change."""
