@@ -17,6 +17,7 @@ from warpsar.diagnosis.held_out.azimuths import counted
 from warpsar.diagnosis.held_out.box import as_box
 from warpsar.diagnosis.held_out.geometry import TURNED, WIDE, beyond_mesh, likeliest, minimum, numbers, profiled
 from warpsar.diagnosis.held_out.glints import found_by_parts, found_in_all, merged, on_bodies, with_glints
+from warpsar.diagnosis.held_out.hypotheses import EffectHypothesis
 from warpsar.diagnosis.held_out.model import TrainViews, scene_content, scene_of
 from warpsar.diagnosis.held_out.report import judgement, sentence
 from warpsar.diagnosis.held_out.search import (
@@ -191,6 +192,36 @@ def test_an_effect_is_named_where_it_is_worth_more_than_its_uncertainty(
     assert ("noise_floor" in search.held) is (said == "stays")
     assert ("noise_floor" in model.scenes[0].effects) is (said == "stays")
     assert (search._untold() == ["noise_floor"]) is (said == "cannot be told here")
+
+
+@pytest.mark.unit
+def test_rays_are_followed_anew_only_where_a_trace_of_them_helps(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A trace of bounces makes views left out worse, in both readings of a reflection: no fit of them begins."""
+    (tmp_path / "scene.toml").write_text(SCENE + views(12))
+    scene = Scene.load(tmp_path / "scene.toml")
+    search = FoldSearch.__new__(FoldSearch)
+    search.folds, search.order = folds(scene.views, 2), [view.name for view in scene.views]
+    search._log, search._glanced, search.device = RunLog(), {}, devices.resolve_device("cpu")
+    search.trained = TrainViews.__new__(TrainViews)
+    search.trained.names = search.order
+    asked: list[tuple[float, float]] = []
+
+    def scores(one: Scene, names: list[str]) -> np.ndarray:
+        strength = one.effects.get("multibounce", {}).get("strength", 0.0)
+        asked.append((strength, one.sampling.density_per_m2(one.grid) / scene.sampling.density_per_m2(scene.grid)))
+        return np.full(len(names), 1.0 + strength)
+
+    monkeypatch.setattr(search.trained, "scores", scores)
+    monkeypatch.setattr(search, "_level", lambda model: 0.01)
+    monkeypatch.setattr(search, "_progress", lambda: None, raising=False)
+    search._glance(Model([scene] * 2, np.ones(12)), [EffectHypothesis("multibounce")])
+    gain, *_ = search._glanced["multibounce"]
+    traces = [strength for strength, _ in asked if strength]
+    assert gain == pytest.approx(-min(traces))
+    assert max(traces) < 0.1  # where fits begin it is 0.2 and more
+    assert {share for _, share in asked} == {0.125}
 
 
 @pytest.mark.unit

@@ -16,6 +16,7 @@ from warpsar.scene.scene import Scene
 
 MOST_TRIALS = 8
 """An effect with more trials (a copy at any distance, any band of rows) is found by its score, not by fits."""
+TRACE = 0.02  # of an amount where a fit begins
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,11 @@ class EffectHypothesis:
         if self.extension:
             return [dict(effect.extensions(scene.effects[self.effect])[self.extension])]
         return [dict(trial.starts[len(trial.starts) // 2]) for trial in effect.trials(Context(scene, level))]
+
+    def trace_of(self, table: Mapping[str, Any]) -> dict[str, Any]:
+        """The table with `TRACE` of each amount: so little that what it adds tells by its sign whether it helps."""
+        amounts = {one.name for one in get(self.effect).parameters if one.neutral == 0.0 and one.scale == "log"}
+        return {key: TRACE * value if key in amounts else value for key, value in table.items()}
 
     def started(self, scene: Scene, table: Mapping[str, Any], surface: Scene) -> Scene:
         """The scene with the effect, on the surface of `scene` itself or of another one.

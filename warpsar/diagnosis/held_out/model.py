@@ -32,6 +32,7 @@ ITERATIONS = 6
 FLAT, KEPT_WITHIN = 0.5, 0.05
 FITTED = 0.8  # of the window's rows and columns, about the middle, that a fit looks at: far ground says nothing new
 KEPT = 2  # sets of rays
+FEW_RAYS = 0.125
 BOUND = 0.5
 """Of a pixel's loss in a fit. A few glints, where a strong scatterer stands in for speckle, else outvote the rest: the
 body's mean would follow them, and most of its pixels would be too bright."""
@@ -90,6 +91,12 @@ class FitRays:
 def with_other_rays(scene: Scene) -> Scene:
     """The same model on rays of another seed."""
     return replace(scene, sampling=scene.sampling.model_copy(update={"seed": scene.sampling.seed + 1}))
+
+
+def with_few_rays(scene: Scene) -> Scene:
+    """The same model on `FEW_RAYS` of its rays."""
+    density = FEW_RAYS * scene.sampling.density_per_m2(scene.grid)
+    return replace(scene, sampling=scene.sampling.model_copy(update={"rays_per_pixel": None, "rays_per_m2": density}))
 
 
 class TrainViews:

@@ -50,6 +50,7 @@ from warpsar.diagnosis.held_out.model import (
     TrainViews,
     scene_content,
     scene_of,
+    with_few_rays,
     with_other_rays,
 )
 from warpsar.diagnosis.models.change import as_declared
@@ -541,15 +542,31 @@ class FoldSearch:
 
     def _glance(self, model: Model, some: Sequence[EffectHypothesis]) -> None:
         """A first fit of each on the first part, with the aim points held: the gain of the views left out, its standard
-        error, the table where it begins, and whether on the declared surface."""
+        error, the table where it begins, and whether on the declared surface. An effect that follows rays anew
+        is fitted only where a trace of it, on few rays, makes some views left out better: a fit takes minutes."""
         level, rest = self._level(model), self._rest(0)
         few, fewer = (_spread(rest, count) for count in (FEW, FEWER))
         ahead = [name for name in self.order if name in self.folds[0]]
         own = np.array([score for name, score in zip(self.order, model.scores, strict=True) if name in self.folds[0]])
         scene = model.scenes[0]
 
+        def traced(one: EffectHypothesis, tables: list[dict[str, Any]]) -> tuple[float, float, dict[str, Any], bool]:
+            some = _spread(ahead, FEWER)
+            coarse = with_few_rays(scene)
+            gains = [
+                self.trained.scores(coarse, some)
+                - self.trained.scores(one.started(coarse, one.trace_of(table), coarse), some)
+                for table in tables
+            ]
+            best = int(np.argmax([gain.mean() for gain in gains]))
+            return *mean_and_error(gains[best]), tables[best], False
+
         def glance(one: EffectHypothesis) -> tuple[float, float, dict[str, Any], bool]:
             tables = one.tables(scene, level)
+            if get(one.effect).follows_rays:
+                mean, error, table, on_declared = traced(one, tables)
+                if mean + error <= 0.0:
+                    return mean, error, table, on_declared
             if len(tables) > 1:
                 losses = [self.fits.loss_at_start(one.started(scene, table, scene), fewer) for table in tables]
                 tables = [tables[int(np.argmin(losses))]]
