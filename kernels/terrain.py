@@ -209,8 +209,10 @@ def hiding_kernel(
 
 
 @wp.func
-def sees_radar(tree: wp.uint64, point: wp.vec3, look: wp.vec3, clear_m: float, reach_m: float) -> bool:
-    return not wp.mesh_query_ray_anyhit(tree, point + clear_m * look, look, reach_m)
+def sees_radar(tree: wp.uint64, point: wp.vec3, normal: wp.vec3, look: wp.vec3, clear_m: float, reach_m: float) -> bool:
+    """Whether a point of a facet sees the radar. Its ray starts above the facet: where another one that is turned away
+    begins at the point, a ray that started along the look would be below it, and meet nothing."""
+    return not wp.mesh_query_ray_anyhit(tree, point + clear_m * normal, look, reach_m)
 
 
 # One thread walks through a facet's pixels: what is cut out would be handed twenty values and back.
@@ -285,7 +287,7 @@ def project_kernel(
                 if lit and cell > 0.0:
                     w = weights_at(whole, found[1], found[2])
                     point = float(w[0]) * a + float(w[1]) * b + float(w[2]) * c
-                    lit = sees_radar(tree, point, look, clear_m, reach_m)
+                    lit = sees_radar(tree, point, doubled / (2.0 * facet_m2), look, clear_m, reach_m)
                 if lit:
                     inside = weights_at(whole, found[1], found[2])
                     sigma0 = sigma0_at(backscatter, cover_at(facets, backscatter, f, inside), cosine)
@@ -466,7 +468,7 @@ def map_kernel(
     cells_out.incidence[row, column] = wp.degrees(wp.acos(wp.clamp(cosine, -1.0, 1.0)))
     cells_out.lit[row, column] = wp.uint8(0)
     if cosine > GRAZING:
-        if sees_radar(tree, u * a + v * b + w * c, look, clear_m, reach_m):
+        if sees_radar(tree, u * a + v * b + w * c, normal, look, clear_m, reach_m):
             cells_out.lit[row, column] = wp.uint8(1)
     ab = (facets.line[j] - facets.line[i]) * (facets.slant[k] - facets.slant[i])
     ac = (facets.line[k] - facets.line[i]) * (facets.slant[j] - facets.slant[i])

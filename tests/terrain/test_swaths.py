@@ -53,6 +53,7 @@ def test_each_swath_that_shows_the_ground_has_a_view(tmp_path: Path) -> None:
     assert all((out / file).is_file() for file in content["files"])
     report = (out / "report.html").read_text()
     assert '<a href="IW1/report.html">' in report
+    assert report.count("data:image/png") == 2
     # the same ground in both: IW2 begins 240 pixels farther
     views = {name: json.loads((out / name / "twin.json").read_text()) for name in ("IW1", "IW2")}
     images = {name: layers(out / name / "image.tif") for name in views}

@@ -327,13 +327,16 @@ def _write_views(
         report.section(
             name,
             *(report.paragraph(_sentence(each)) for each in words_in(of)),
+            report.picture((out / name / "map.png").read_bytes(), CAPTIONS["map.png"]),
             report.link(f"{name}/report.html", f"Report of {name}"),
         )
         for name, of in contents.items()
     ]
     if refused:
         sections.append(
-            report.section("Without ground", report.bullets([_sentence(each) for each in refused.values()]))
+            report.section(
+                "Without ground", report.bullets([_sentence(f"{name}: {why}") for name, why in refused.items()])
+            )
         )
     sections.append(
         report.reproduce(content, list(command) or ["warpsar", "twin"], f"Beside this file: {_beside(content)}.")
