@@ -114,7 +114,7 @@ def add_bar(figure: Figure, scale: GreyScale, size: float, **where: Any) -> None
     """A bar of greys, linear in dB; `size` of its label in points, `where` as `Figure.colorbar` has it."""
     from matplotlib.ticker import MaxNLocator
 
-    bar = figure.colorbar(scale.mappable(), ticks=MaxNLocator(9, integer=True), **where)
+    bar = figure.colorbar(scale.mappable(), ticks=MaxNLocator(9, steps=[1, 2, 5, 10], integer=True), **where)
     bar.set_label("beta0 [dB]", fontsize=size)
     bar.ax.tick_params(labelsize=size - 1)
 
