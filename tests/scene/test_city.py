@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -208,6 +209,40 @@ def test_the_new_scene_simulates_as_it_is(town: Path, tmp_path: Path) -> None:
     assert scene.origin is not None
     assert (out / "images" / "az020_ground.tif").is_file()
     assert read_channel(out / "images" / "az020.exr").max() > 0
+
+
+@pytest.mark.parametrize("make", [gable, cube])
+def test_citygml_becomes_the_scene_that_outlines_become(
+    make: Callable[[Path], Path], town: Path, tmp_path: Path
+) -> None:
+    """Bounces, the noise and response of the sensor, and surfaces of the library, as for GeoJSON."""
+    source = make(tmp_path / "house.gml")
+    texts = []
+    for number, buildings in enumerate((source, town)):
+        folder = tmp_path / f"{number}"
+        run("new", folder, buildings, "--sensor", "terrasar-x")
+        texts.append(Scene.load(folder / "scene.toml"))
+    house, outlines = texts
+    assert {name: one.library for name, one in house.materials.items()} == {
+        "ground": "grass",
+        "walls": "brick",
+        "roofs": "roof_tiles",
+    }
+    assert house.materials == outlines.materials
+    assert {"multibounce", "noise_floor", "point_spread"} <= set(house.effects)
+    assert house.effects == outlines.effects
+
+
+@pytest.mark.full
+def test_citygml_becomes_an_image_with_bounces_and_noise(tmp_path: Path) -> None:
+    """What the wall that faces the radar and the ground send back together is in the image, and noise everywhere."""
+    out = tmp_path / "images"
+    run("new", tmp_path / "house", gable(tmp_path / "house.gml"), "--sensor", "terrasar-x")
+    run("simulate", tmp_path / "house" / "scene.toml", "-o", out, "--device", "cpu", "--layers")
+    image = read_channel(out / "az020.exr")
+    layers = read_channel(out / "az020_layers.exr", "beta0_2_bounces_HH")
+    assert image.min() > 0.0  # the noise, in shadows and beyond the mesh
+    assert layers.sum() > 0.0
 
 
 @pytest.mark.parametrize(
