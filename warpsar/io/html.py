@@ -179,13 +179,12 @@ def scale(colours: str, ticks: Sequence[str], label: str, at: ArrayLike | None =
 
 def beta0_scale(greys: GreyScale, *, beyond_mesh: bool = False) -> str:
     """The key of images of beta0, a bar that is linear in dB. `beyond_mesh`: whether they show where the mesh ends."""
-    from matplotlib.colors import to_hex
-
     marks = [f"{at:.0f}".replace("-", "\u2212") for at in np.linspace(greys.levels_db[0], greys.levels_db[-1], 5)]
     key = scale("gray", [*marks[:-1], f"{marks[-1]} dB"], "beta0", greys.along(65))
     if not beyond_mesh:
         return key
-    return f'{key}<span class="patch"><i style="background: {to_hex(WITHOUT_POWER)}"></i>no mesh there</span>'
+    blue = ", ".join(f"{255.0 * part:.0f}" for part in WITHOUT_POWER)
+    return f'{key}<span class="patch"><i style="background: rgb({blue})"></i>no mesh there</span>'
 
 
 def colour(values: np.ndarray, colours: str, low: float, high: float) -> np.ndarray:

@@ -124,7 +124,7 @@ def add_legend(figure: Figure, looks: Iterable[QuickLook], size: float) -> None:
     from matplotlib.patches import Patch
 
     looks = list(looks)
-    meanings = {
+    meanings: dict[str, tuple[Any, bool]] = {
         "no mesh there": (WITHOUT_POWER, any(one.covered is not None and not one.covered.all() for one in looks)),
         "not measured": (UNMEASURED, any(np.isnan(power).any() for one in looks for power in one.power.values())),
     }
