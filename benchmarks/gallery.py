@@ -150,17 +150,9 @@ def draw(scene: Scene, shot: Shot, folder: Path, path: Path) -> None:
     right.locator_params(nbins=5)
     right.tick_params(labelsize=8)
     for axis, at in ((left, (0.12, 1.15)), (right, (0.1, 0.99))):
-        axis.annotate(
-            "radar",
-            (at[0], at[1] - 0.22),
-            at,
-            "axes fraction",
-            color="darkorange",
-            fontsize=9,
-            ha="center",
-            va="top",
-            arrowprops={"arrowstyle": "-|>", "color": "darkorange", "lw": 1.5},
-        )
+        word = axis.text(*at, "radar", transform=axis.transAxes, color="darkorange", fontsize=9, ha="center", va="top")
+        arrow = {"arrowstyle": "-|>", "color": "darkorange", "lw": 1.5}
+        axis.annotate("", (0.5, -1.3), (0.5, 0.0), xycoords=word, textcoords=word, arrowprops=arrow)
     beside = right.inset_axes((1.05, 0.0, 0.06, 1.0))  # as tall as the image
     add_bar(figure, scale, 9, cax=beside)
     add_legend(figure, [image], 9)

@@ -53,7 +53,7 @@ def test_greys_rise_and_a_bar_is_linear_in_db() -> None:
     greys = scale.grey(levels)
     assert (np.diff(greys) > 0).all()
     np.testing.assert_allclose(scale.grey(scale.levels_db), GREYS)
-    bar = scale.mappable().to_rgba(levels)  # of 1024 steps
+    bar = scale.colours()(scale.norm()(levels))  # of 1024 steps
     np.testing.assert_allclose(bar[:, :3], greys[:, None] * np.ones(3), atol=0.42 / 12.0 * 55.0 / 1024.0)
     np.testing.assert_allclose(scale.along(56), scale.grey(np.arange(-30.0, 26.0)))
     assert np.isnan(scale.grey(np.nan))
@@ -147,7 +147,7 @@ def test_missing_pixels_are_no_shadow(tmp_path: Path) -> None:
 
 def test_a_picture_says_where_no_mesh_is(tmp_path: Path) -> None:
     """A dark blue field below the picture, and only where the picture has that colour."""
-    blue = np.round(255.0 * WITHOUT_POWER)
+    blue = np.round(255.0 * np.array(WITHOUT_POWER))
 
     def shown(covered: np.ndarray) -> int:
         path = tmp_path / "a.png"

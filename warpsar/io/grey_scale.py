@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 if TYPE_CHECKING:
-    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import ListedColormap, Normalize
 
 GREYS = (0.0, 0.42, 0.8, 1.0)
 """Of the four levels: 0 is black, 1 white."""
@@ -30,7 +30,7 @@ _STEPS = 1024
 """Of a map of greys for matplotlib: no step is above a grey of 256 where a scale spans 100 dB."""
 NOTHING = 1e-30
 """Linear beta0 that is shown as none."""
-WITHOUT_MESH, WITHOUT_POWER = np.array([0.75, 0.85, 1.0]), np.array([0.05, 0.12, 0.27])
+WITHOUT_MESH, WITHOUT_POWER = (0.75, 0.85, 1.0), (0.05, 0.12, 0.27)
 """Where there is no mesh: what white and what black become."""
 UNMEASURED = "tab:blue"
 """Where an image has no number."""
@@ -73,18 +73,23 @@ class GreyScale:
         """Greys from black to white at even steps in dB: those of a bar, along which dB are read off as on a ruler."""
         return self.grey(np.linspace(self.levels_db[0], self.levels_db[-1], steps))
 
-    def mappable(self) -> ScalarMappable:
-        """The same for matplotlib: a map of greys, linear in dB from black to white."""
-        from matplotlib.cm import ScalarMappable
-        from matplotlib.colors import ListedColormap, Normalize
+    def norm(self) -> Normalize:
+        """For matplotlib, beside `colours`: linear in dB from black to white."""
+        from matplotlib.colors import Normalize
 
-        greys = self.along(_STEPS)[:, None] * np.ones(3)
-        return ScalarMappable(Normalize(self.levels_db[0], self.levels_db[-1]), ListedColormap(greys))
+        return Normalize(self.levels_db[0], self.levels_db[-1])
+
+    def colours(self) -> ListedColormap:
+        """Greys along `norm`."""
+        from matplotlib.colors import ListedColormap
+
+        return ListedColormap(self.along(_STEPS)[:, None] * np.ones(3))
 
 
 def tinted(colours: NDArray[np.float64], covered: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Greys as colours, 0 to 1, (rows, cols, 3), dark blue where no surface lies, lit or hidden: not `covered`."""
-    return np.where(covered[..., None], colours, WITHOUT_POWER + colours * (WITHOUT_MESH - WITHOUT_POWER))
+    white, black = np.array(WITHOUT_MESH), np.array(WITHOUT_POWER)
+    return np.where(covered[..., None], colours, black + colours * (white - black))
 
 
 def count(power: ArrayLike) -> NDArray[np.int64]:

@@ -112,9 +112,11 @@ def draw(look: QuickLook, scale: GreyScale) -> None:
 
 def add_bar(figure: Figure, scale: GreyScale, size: float, **where: Any) -> None:
     """A bar of greys, linear in dB; `size` of its label in points, `where` as `Figure.colorbar` has it."""
+    from matplotlib.cm import ScalarMappable
     from matplotlib.ticker import MaxNLocator
 
-    bar = figure.colorbar(scale.mappable(), ticks=MaxNLocator(9, steps=[1, 2, 5, 10], integer=True), **where)
+    greys = ScalarMappable(scale.norm(), scale.colours())
+    bar = figure.colorbar(greys, ticks=MaxNLocator(9, steps=[1, 2, 5, 10], integer=True), **where)
     bar.set_label("beta0 [dB]", fontsize=size)
     bar.ax.tick_params(labelsize=size - 1)
 
@@ -124,7 +126,7 @@ def add_legend(figure: Figure, looks: Iterable[QuickLook], size: float) -> None:
     from matplotlib.patches import Patch
 
     looks = list(looks)
-    meanings: dict[str, tuple[Any, bool]] = {
+    meanings: dict[str, tuple[str | tuple[float, float, float], bool]] = {
         "no mesh there": (WITHOUT_POWER, any(one.covered is not None and not one.covered.all() for one in looks)),
         "not measured": (UNMEASURED, any(np.isnan(power).any() for one in looks for power in one.power.values())),
     }

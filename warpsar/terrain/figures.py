@@ -195,8 +195,7 @@ def _panel(
     options: dict[str, Any] = {"extent": ends, "aspect": aspect, "interpolation": "nearest"}
     label = {"power": f"{layer.name} [dB]", "angle": f"{layer.name} [deg]"}.get(layer.kind, layer.name)
     if layer.kind == "power" and scale is not None:
-        greys = scale.mappable()
-        drawn = axis.imshow(in_decibel(shown), **{"cmap": greys.cmap, "norm": greys.norm, **options})
+        drawn = axis.imshow(in_decibel(shown), cmap=scale.colours(), norm=scale.norm(), **options)
     elif layer.kind == "angle":
         drawn = axis.imshow(shown, cmap="viridis", vmin=0.0, vmax=90.0, **options)
     else:
