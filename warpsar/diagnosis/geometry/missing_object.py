@@ -9,15 +9,13 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from scipy.spatial import Delaunay
 
 from warpsar.compare.observation import Observation
 from warpsar.diagnosis.geometry.base.body import BodyChange
 from warpsar.diagnosis.geometry.base.change import GeometryCandidate
-from warpsar.diagnosis.geometry.object_size import CHANGE as SIZE
 from warpsar.diagnosis.models.change import BodyDifference
 from warpsar.diagnosis.models.fit_setup import FitSetup
-from warpsar.diagnosis.models.movable import POSE_WORDS, bodies
+from warpsar.diagnosis.models.movable import POSE_WORDS
 from warpsar.diagnosis.models.refit import Fitted
 from warpsar.diagnosis.proposals.bodies import Tried, likeliest, sound
 from warpsar.diagnosis.proposals.fit import Standing, TrialGround, alone, released
@@ -33,7 +31,6 @@ PLACES, NEARLY = 2, 0.5  # that are tried, where the second scores such a share 
 EXPLAINED = 0.6  # of what is unlike speckle in the pixels that a body touches: where others are missing, it is less
 PROMISING = 0.3  # the same of a place, before a body is fitted to it: the place alone knows one width and one height
 WORTH_A_FIT = 2.0  # times what a number costs: the best of all places where nothing stands scores less
-AS_A_SIZE = 0.8  # of what a body gains that stands within another one, for the other's size to be the reading
 LAST_STEPS, LAST_FLAT = 4, 0.1  # of the last descents
 
 
@@ -57,8 +54,7 @@ class MissingObject(BodyChange):
         return ("position", "size") if one.primitive == "cylinder" and one.heading_deg == 0.0 else (*POSE_WORDS, "size")
 
     def proposed(self, setup: FitSetup, here: Fitted, price: float, least: float) -> list[GeometryCandidate]:
-        found = proposed(here.scene, setup.device, setup.observations, price=price, least=least)
-        return [_or_another_size(setup, here, one) for one in found]
+        return proposed(here.scene, setup.device, setup.observations, price=price, least=least)
 
 
 CHANGE = MissingObject()
@@ -109,27 +105,6 @@ def proposed(
     values, words = _values_and_words(whole, best)
     words.append(f"views left out: log-likelihood up by {confirmed.gain:.4g} +- {confirmed.error:.2g}")
     return [GeometryCandidate(CHANGE.name, best.name, whole.scene, float(gain), size, values, words)]
-
-
-def _or_another_size(setup: FitSetup, here: Fitted, one: GeometryCandidate) -> GeometryCandidate:
-    """The candidate; of a body that stands within one of the scene, that one in another size, if this explains nearly
-    as much. Two bodies are at no one place, and the box has numbers enough to take up another error with it."""
-    label = _around(here.scene, one.scene.objects[-1])
-    search = None if label is None else SIZE.search(here.scene, setup, here, label)
-    if label is None or search is None:
-        return one
-    console.say(f"missing object: it stands within {label}, whose size is asked")
-    sizes = SIZE.candidates(here.scene, setup, here, label, search)
-    return next((size for size in sizes if size.gain > AS_A_SIZE * one.gain), one)
-
-
-def _around(scene: Scene, one: Object) -> str | None:
-    """The body of the scene about whose foot an object's middle lies, in plan; None where there is none."""
-    for label, faces in bodies(scene, scene).items():
-        plan = np.unique(scene.mesh.vertices[scene.mesh.faces[faces].ravel(), :2], axis=0)
-        if np.ptp(plan, axis=0).min() > 0.0 and Delaunay(plan).find_simplex(one.position_m[:2]) >= 0:
-            return label
-    return None
 
 
 def _worth_a_fit(places: list[BodyPlace], least: float) -> list[BodyPlace]:
