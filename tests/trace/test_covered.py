@@ -7,6 +7,7 @@ from worlds import axes, box, ground, join, mesh_of, scene_of, view
 from warpsar.runtime import devices
 from warpsar.simulation.rays import hit_grid
 from warpsar.surface.stage import Stage
+from warpsar.trace import layers
 from warpsar.trace.layers import covered
 from warpsar.world.world import geometry_of
 
@@ -48,3 +49,15 @@ def test_ground_is_covered_in_shadow_too_and_nothing_beyond_it(azimuth: float, i
     low, high = top.min(axis=0) - BORDER, top.max(axis=0) + BORDER
     over_box = (row > low[0]) & (row < high[0]) & (col > low[1]) & (col < high[1])
     assert not found[~inside(outline, row, col, -BORDER) & ~over_box].any()
+
+
+def test_holes_that_few_rays_leave_are_filled_and_larger_ones_stay(monkeypatch: pytest.MonkeyPatch) -> None:
+    """7 x 7 pixels that no ray met on a slope, and a pond of 12 x 12 that the mesh does not have."""
+    met = np.ones((SIZE, SIZE), bool)
+    met[20:27, 30:37] = False
+    met[60:72, 50:62] = False
+    monkeypatch.setattr(layers, "launch_layers", lambda *_: (met.ravel().astype(np.int32), np.zeros(met.size, bool)))
+    scene = scene_of(mesh_of(ground=ground(SIDE)), [view(0.0, 40.0)], shape=(SIZE, SIZE), spacing_m=(SPACING, SPACING))
+    found = covered(Stage.of(scene, CPU).target, geometry_of(scene, scene.views[0]), hit_grid(scene))
+    assert found[15:32, 25:42].all()
+    assert not found[63:69, 53:59].any()

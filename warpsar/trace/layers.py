@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 import warp as wp
-from scipy.ndimage import binary_closing
+from scipy.ndimage import binary_closing, label
 
 from warpsar.kernels import layers as kernels
 from warpsar.runtime import devices, threads
@@ -50,17 +50,21 @@ def layers(target: Target, mesh: Mesh, hits: Hits, rays_per_m2: float) -> dict[s
 
 
 FEW = 4.0  # rays per pixel that tell where a surface lies, for pictures
-HOLES = 2  # pixels: wider holes between those rays stay
+HOLES = 2  # pixels: how wide holes between those rays are closed
+SMALL = 64  # pixels of a hole that is filled: no mesh has one so small that a picture must show
 
 
 def covered(target: Target, geometry: ViewGeometry, grid: BinGrid) -> np.ndarray:
     """Where a surface lies in an image, lit or hidden, bool of shape (rows, cols).
 
-    For pictures: of few rays, so a border is known to a pixel or two, and ground at grazing angles has holes.
+    For pictures: of few rays, so a border is known to a pixel or two. Ground at grazing angles has holes, which are
+    filled up to `SMALL` pixels.
     """
     visits, hidden = launch_layers(target, geometry, grid, FEW / grid.pixel_area_m2)
     found = ((visits > 0) | hidden).reshape(grid.shape)
-    return np.asarray(binary_closing(np.pad(found, HOLES), iterations=HOLES)[HOLES:-HOLES, HOLES:-HOLES])
+    found = np.asarray(binary_closing(np.pad(found, HOLES), iterations=HOLES)[HOLES:-HOLES, HOLES:-HOLES])
+    number, _ = label(~found)
+    return found | (np.bincount(number.ravel())[number] <= SMALL)
 
 
 def launch_layers(
