@@ -138,7 +138,7 @@ def draw(scene: Scene, shot: Shot, folder: Path, path: Path) -> None:
     image = QuickLook.of(path, "", {"HH": power}, scene.grid.spacing_m, covered_in(scene, stage, view))
     scale = GreyScale.of_counts(shades([image]))
     deep, wide = image.size_m
-    figure, (left, right) = new(WIDTH_IN, 1.0 + 2.2 * deep / wide, ncols=2, width_ratios=[1.0, 1.4])
+    figure, (left, right) = new(WIDTH_IN, 1.1 + 2.2 * deep / wide, ncols=2, width_ratios=[1.0, 1.4])
     left.imshow(mesh_picture(stage, scene, shot))
     left.set_axis_off()
     left.set_title("mesh", fontsize=9)

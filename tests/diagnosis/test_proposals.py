@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from learning_scenes import speckle
 from one_body import BODY, BOX
-from worlds import BRICK, SOIL, box, ground, mesh_of, plate, scene_of, view
+from test_diagnose_geometry import fitted_of
+from worlds import BRICK, SOIL, box, ground, join, mesh_of, plate, scene_of, view
 
 from warpsar.diagnosis.command import run
 from warpsar.diagnosis.geometry.base.change import GeometryCandidate
@@ -22,6 +23,7 @@ from warpsar.diagnosis.proposals.fit import Standing, TrialGround
 from warpsar.diagnosis.proposals.left_out import explained
 from warpsar.diagnosis.proposals.places import BodyPlace, Looked, Ratios, free_ground
 from warpsar.diagnosis.proposals.shapes import TrialBody
+from warpsar.diagnosis.turn.geometry_search import _around, _or_grown
 from warpsar.differentiable.geometry import exact_images
 from warpsar.runtime import devices
 from warpsar.scene.placing import with_objects
@@ -402,3 +404,39 @@ def test_a_place_says_what_it_is() -> None:
     for b in boxes:
         assert b.table.size_m is not None
         assert b.table.size_m[0] * b.table.size_m[1] == pytest.approx(16.0)
+
+
+@pytest.mark.parametrize(
+    ("at", "body"),
+    [((-5.5, 4.0, 0.0), "hut"), ((-2.5, 4.0, 0.0), None), ((-5.5, 7.0, 0.0), None), ((2.0, -1.5, 0.0), None)],
+)
+def test_a_body_that_stands_within_one_of_the_scene_is_told(at: tuple[float, float, float], body: str | None) -> None:
+    """One beside it is an annex, and the ground is no body."""
+    assert _around(plain(), BOX.model_copy(update={"position_m": at})) == body
+
+
+def test_of_bodies_around_a_place_the_smallest_is_meant() -> None:
+    """All walls of a town are one group, too, which reaches from house to house."""
+    huts = [box((-7.0, 2.0, 0.0), (-4.0, 6.0, 3.0)), box((5.0, -6.0, 0.0), (8.0, -2.0, 3.0))]
+    mesh = mesh_of(ground=ground(36), hut=join(huts))
+    west, east = np.split(np.flatnonzero(mesh.face_material == 1).astype(np.int32), 2)
+    scene = replace(plain(), mesh=replace(mesh, groups={"west": west, "east": east}))
+    places = [(-5.5, 4.0, 0.0), (6.0, -4.0, 0.0), (1.0, 0.0, 0.0)]
+    found = [_around(scene, BOX.model_copy(update={"position_m": at})) for at in places]
+    assert found == ["west", "east", "hut"]
+
+
+@pytest.mark.full
+def test_a_hut_that_is_higher_is_no_body_within_the_hut() -> None:
+    """A box as wide as the hut and 1.5 m higher explains all: it is offered as the hut's height, 3 m, times 1.5."""
+    scene = plain()
+    higher = mesh_of(ground=ground(36), hut=box((-7.0, 2.0, 0.0), (-4.0, 6.0, 4.5)))
+    given = replace(measured(replace(scene, mesh=higher), ()), mesh=scene.mesh, assembly=scene.assembly)
+    setup, here = fitted_of(given)
+    inside = with_objects(given, (BOX.model_copy(update={"position_m": (-5.5, 4.0, 0.0)}),), {"it": BODY})
+    box_found = GeometryCandidate("missing_object", "it", inside, 50.0, 6)
+    found = _or_grown(given, setup, here, box_found)
+    assert found.name == "object_size hut"
+    assert found.values["scale"][2] == pytest.approx(1.5, abs=0.05)
+    far_better = replace(box_found, gain=10.0 * found.gain)
+    assert _or_grown(given, setup, here, far_better) is far_better

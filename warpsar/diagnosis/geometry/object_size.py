@@ -26,6 +26,7 @@ class ObjectSize(MovedBody):
     order = 20
     summary = "an object of the scene is of another size"
     frees = 3
+    grows_a_body = True
     keys: ClassVar[frozenset[str]] = frozenset({"scale", "size_m"})
     commented = ("size_m",)
 

@@ -11,6 +11,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import cast
 
+import numpy as np
+from scipy.spatial import Delaunay
+
 from warpsar.diagnosis.geometry.base.body import BodyChange, BodyScreening
 from warpsar.diagnosis.geometry.base.change import GeometryCandidate, Hypothesis
 from warpsar.diagnosis.geometry.registry import body_changes, content, get, names, scene_with
@@ -27,6 +30,7 @@ from warpsar.world.objects.table import Learnable, Object
 
 TOGETHER = 16  # bodies of one screening problem: seven columns each, on all pixels
 FITTED = 2  # of the screened poses and sizes, how many bodies are fitted
+NEARLY = 0.8  # of what a new body gains that stands within another one, for the other's size to be the reading
 FAR_BEHIND_OTHERS = 0.8  # of what the best search gains on blurred images: one that gains less is not fitted to its end
 
 
@@ -54,7 +58,8 @@ def geometry_candidates(
         moved = body_candidates(declared, setup, here, screened, price, effect_gain)
         most = max([effect_gain.sharp, *(one.gain for one in [*sensor, *moved])])
         kinds = map(get, names())
-        return [*moved, *(one for kind in kinds for one in kind.proposed(setup, here, price, FAR_BEHIND * most))]
+        new = [one for kind in kinds for one in kind.proposed(setup, here, price, FAR_BEHIND * most)]
+        return [*moved, *(_or_grown(declared, setup, here, one) for one in new)]
 
     return of_the_first(declared, here, once.agree(run))
 
@@ -85,6 +90,35 @@ def body_candidates(
             of_body = change.one_reading(of_body)
         found += of_body
     return [one for one in found if 2.0 * one.gain > one.size * price]
+
+
+def _or_grown(declared: Scene, setup: FitSetup, here: Fitted, one: GeometryCandidate) -> GeometryCandidate:
+    """The candidate; of a body that is new and stands within one of the scene, that one in another size, if this
+    explains nearly as much. Two bodies are at no one place, and a new one has numbers enough to take up what else is
+    wrong."""
+    known = {each.label for each in here.scene.objects}
+    new = [each for each in one.scene.objects if each.label not in known]
+    label = _around(here.scene, new[0]) if len(new) == 1 and new[0].group is None else None
+    if label is None:
+        return one
+    for change in (each for each in body_changes() if each.grows_a_body):
+        search = change.search(declared, setup, here, label)
+        for other in change.candidates(declared, setup, here, label, search):
+            if other.gain > NEARLY * one.gain:
+                return other
+    return one
+
+
+def _around(scene: Scene, one: Object) -> str | None:
+    """The smallest body of the scene about whose foot an object's middle lies, in plan; None where there is none."""
+    found: list[tuple[float, str]] = []
+    for label, faces in bodies(scene, scene).items():
+        plan = np.unique(scene.mesh.vertices[scene.mesh.faces[faces].ravel(), :2], axis=0)
+        if np.ptp(plan, axis=0).min() > 0.0:
+            hull = Delaunay(plan)
+            if hull.find_simplex(one.position_m[:2]) >= 0:
+                found.append((float(np.ptp(plan, axis=0).prod()), label))
+    return min(found, default=(0.0, None))[1]
 
 
 def worth_fits(screened: Sequence[Hypothesis], price: float, effect_gain: EffectGain) -> list[Hypothesis]:

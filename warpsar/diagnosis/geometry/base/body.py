@@ -55,6 +55,7 @@ class BodyChange(GeometryChange):
     section: ClassVar[Section] = "objects"
     frees: ClassVar[int]  # numbers of a body that the screening counts
     by_steps: ClassVar[bool] = False  # whether a search goes there step by step from where the body stands
+    grows_a_body: ClassVar[bool] = False  # whether a body that is new within another one may be this change of that
     in_quiet_scenes: ClassVar[bool] = True  # whether it is looked for where nothing else raises an alarm
     commented: ClassVar[tuple[str, ...]] = ()
     """Keys of `[[objects]]` beside whose values the written scene has standard deviations, as comments."""
