@@ -9,7 +9,7 @@ import pytest
 from effect_worlds import street
 from scipy.ndimage import gaussian_filter
 
-from warpsar.compare.aim import EXPECTED, Reach, aimed_deviance, best_shift, deviances, own_shift, unaimed
+from warpsar.compare.aim import EXPECTED, MeasuredImage, Reach, best_shift, deviances, own_shift, unaimed
 from warpsar.compare.prediction import Agreement, PredictedImage, advantage, in_sector, summaries
 from warpsar.compare.rivals import Seen, rivals, turned
 from warpsar.world.tables import View
@@ -75,7 +75,7 @@ def test_an_aim_point_between_pixels_costs_nothing() -> None:
     smooth = gaussian_filter(fine, 6.0)
     here, off = (np.roll(smooth, by, 0).reshape(98, 3, 98, 3).mean(axis=(1, 3)) for by in (0, 1))
     whole = min(deviances(REACH.window(off), REACH.window(here, (k, 0))).mean() for k in (-1, 0, 1))
-    assert aimed_deviance(off, here, REACH) < 0.2 * whole
+    assert MeasuredImage(off, REACH).deviance(here) < 0.2 * whole
 
 
 def test_a_chip_turns_as_its_target_does() -> None:

@@ -150,11 +150,6 @@ def own_shift(measured: np.ndarray, predicted: np.ndarray, reach: Reach) -> Shif
     return MeasuredImage(measured, reach).own_shift(predicted)
 
 
-def aimed_deviance(measured: np.ndarray, predicted: np.ndarray, reach: Reach) -> float:
-    """As `MeasuredImage.deviance`."""
-    return MeasuredImage(measured, reach).deviance(predicted)
-
-
 class MeasuredImage:
     """A measured image beside predictions that may be shifted. What is of it alone is found once: a search asks for
     hundreds of predictions."""

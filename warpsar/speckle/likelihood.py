@@ -155,14 +155,14 @@ def _bounded_mean(ratio: np.ndarray, looks: float, bound: float, same: float) ->
     """The logarithm of the mean of `ratio`, each pixel weighted by its share of the slope."""
     if bound <= 0:
         return float(np.log(np.mean(ratio)))
-    return bounded_level(ratio, np.log(ratio), looks, bound, float(np.log(np.median(ratio))), same)  # what costs most
+    return bounded_level(ratio, np.log(ratio), looks, bound, float(np.log(np.median(ratio))), same)
 
 
 def bounded_level(
     ratio: np.ndarray, logarithm: np.ndarray, looks: float, bound: float, start: float, same: float = SAME_GAIN
 ) -> float:
-    """The logarithm of the gain of least bounded gamma loss, sought from `start` on, where the logarithm of `ratio`,
-    measured over modelled power, is known."""
+    """The logarithm of the gain of least bounded gamma loss, sought from `start` on. `ratio`: measured over modelled
+    power. Its `logarithm` is handed on, because it costs most: many gains are sought of the same pixels."""
 
     def turn(x: float) -> float:
         shares = _shares(looks * (ratio * np.exp(-x) - (1.0 - x) - logarithm), bound)
