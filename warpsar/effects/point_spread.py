@@ -45,12 +45,40 @@ _WINDOW = Setting(
 )
 
 
+def _are_cells(value: Any) -> bool:
+    return isinstance(value, list | tuple) and len(value) == 2 and all(_is_cell(one) for one in value)
+
+
+def _is_cell(value: Any) -> bool:
+    pair = isinstance(value, list | tuple) and len(value) == 2
+    return pair and type(value[0]) in (int, float) and 0.0 <= value[0] <= 1e4 and value[1] in _CELL_TAPERS
+
+
+_CELL_TAPERS = ("none", "taylor")
+_CELL_SCHEMA = {
+    "type": "array",
+    "prefixItems": [{"type": "number", "minimum": 0.0, "maximum": 1e4}, {"enum": list(_CELL_TAPERS)}],
+    "minItems": 2,
+    "maxItems": 2,
+}
+_CELLS = Setting(
+    "cells",
+    None,
+    _are_cells,
+    "a pair for range and azimuth, each [size in m from 0 to 10000, 'none' or 'taylor']",
+    description="Resolution cells in which the fields of corners add up, where a filter of the finished image has made "
+    "the kernel wider: size [m], 0 for a pixel, and taper, for range and azimuth. Without it, those of the kernel.",
+    schema={"type": "array", "items": _CELL_SCHEMA, "minItems": 2, "maxItems": 2},
+)
+
+
 class PointSpread(Effect):
     """Convolves the power image with a separable kernel, sampled at pixel centres and normalised to one.
 
     Its widths are full widths at half maximum; a width of 0 leaves its axis sharp. `window` is the weighting of the
     aperture: "sinc" (none: the kernel is sinc^2), "taylor" (-35 dB, nbar 5), or "gaussian" for a Gaussian kernel. Many
-    systems weight the band and not the aperture: a pair of windows is that of range and that of azimuth.
+    systems weight the band and not the aperture: a pair of windows is that of range and that of azimuth. `cells` are
+    those of the radar where the kernel is wider, as in an image that was smoothed after it had been focused.
     """
 
     name = "point_spread"
@@ -63,7 +91,7 @@ class PointSpread(Effect):
     example: ClassVar[dict[str, Any]] = {"range_fwhm_m": 1.2, "azimuth_fwhm_m": 1.2, "window": "sinc"}
     rate_case: ClassVar[dict[str, Any]] = {"range_fwhm_m": 0.9, "azimuth_fwhm_m": 0.7, "window": "gaussian"}
     parameters = (_width("range_fwhm_m"), _width("azimuth_fwhm_m"))
-    settings = (_WINDOW,)
+    settings = (_WINDOW, _CELLS)
 
     def parts(self, image: SeenImage, table: Mapping[str, Any]) -> Mapping[str, np.ndarray]:
         """It shows on edges and on points alike, and is as wide at near range as at far range: a defocus that grows
@@ -88,11 +116,13 @@ class PointSpread(Effect):
 
     def response(self, values: np.ndarray, settings: Mapping[str, Any]) -> Response:
         """Its widths are those of band and aperture. No band has a Gaussian kernel: the system's own taper stays."""
-        stated = settings["window"]
-        pair = [stated] * 2 if isinstance(stated, str) else stated
+        window = settings["window"]
+        pair = [window] * 2 if isinstance(window, str) else window
         width = [float(value) or None for value in values]
         taper = [_TAPERS[name] if wide else None for name, wide in zip(pair, width, strict=True)]
-        return Response((width[0], width[1]), (taper[0], taper[1]))
+        cells = settings.get("cells")
+        stated = None if cells is None else ((float(cells[0][0]), cells[0][1]), (float(cells[1][0]), cells[1][1]))
+        return Response((width[0], width[1]), (taper[0], taper[1]), stated)
 
     def image(self, render: Recorder, p: wp.array, image: wp.array) -> wp.array:
         stated = render.settings[self.name]["window"]

@@ -83,8 +83,9 @@ def validate(name: str, table: Any, where: str, views: Collection[str] | None = 
             at, p = f"{where}.tolerance.{key}.about", parameters[key]
             for place, one in _entries(at, known["about"], p.keyed_by, views):
                 _check_number(place, one, p)
-    # Parameters stay as stated: a fit moves those and no others (`is_fitted`). Settings get their defaults.
-    return {**table, **{s.name: table.get(s.name, s.default) for s in effect.settings}}
+    # Parameters stay as stated: a fit moves those and no others (`is_fitted`). Settings get their defaults, if any.
+    chosen = {s.name: table.get(s.name, s.default) for s in effect.settings}
+    return {**table, **{name: value for name, value in chosen.items() if value is not None}}
 
 
 def _refuse_nothing(effect: Effect, table: Mapping[str, Any], where: str) -> None:

@@ -153,7 +153,9 @@ def _surface(one: SurfaceParameter) -> _Json:
 def _effect(name: str) -> _Json:
     effect = get(name)
     keys = {each.name: _key(each, _number(each)) for each in effect.parameters}
-    keys |= {each.name: _key(each, {**each.schema, "default": each.default}) for each in effect.settings}
+    for each in effect.settings:
+        default = {} if each.default is None else {"default": each.default}
+        keys[each.name] = _key(each, {**each.schema, **default})
     some = {"type": "array", "items": {"enum": [each.name for each in effect.parameters]}, "uniqueItems": True}
     keys["fixed"] = {
         "description": "Whether a fit leaves the whole table as it is.",

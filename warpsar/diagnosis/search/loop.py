@@ -414,8 +414,8 @@ def _beside_geometry(allowed: Sequence[Candidate], foretold: float, shifts: floa
         elif shadows and effect.additive:
             worth = True
         else:
-            enough = effect.follows_rays or candidate.statistic >= FAR_BELOW * 2.0 * foretold
-            worth = enough and candidate.minus_log_p >= near
+            enough = candidate.statistic >= FAR_BELOW * 2.0 * foretold and candidate.minus_log_p >= near
+            worth = effect.follows_rays or enough
         found += [candidate] if worth else []
     return found
 

@@ -21,12 +21,15 @@ class Response:
     """Half-power widths in slant range and azimuth [m]."""
     taper: tuple[str | None, str | None] = (None, None)
     """Of the band and of the aperture: "none" or "taylor"."""
+    stated_cells: tuple[tuple[float, str], tuple[float, str]] | None = None
+    """What `cells` are where the widths do not say it."""
 
     def over(self, other: Response) -> Response:
         """This response, and where it asks for nothing the other one."""
         return Response(
             (self.width_m[0] or other.width_m[0], self.width_m[1] or other.width_m[1]),
             (self.taper[0] or other.taper[0], self.taper[1] or other.taper[1]),
+            self.stated_cells or other.stated_cells,
         )
 
     def cells(self) -> tuple[tuple[float, str], tuple[float, str]]:
@@ -34,6 +37,8 @@ class Response:
 
         A width without a taper is that of a Gaussian, whose cell has none.
         """
+        if self.stated_cells is not None:
+            return self.stated_cells
         sizes = [(width or 0.0) * _CELL[taper] for width, taper in zip(self.width_m, self.taper, strict=True)]
         return (sizes[0], self.taper[0] or "none"), (sizes[1], self.taper[1] or "none")
 
