@@ -13,7 +13,7 @@ from warpsar.scene.scene import Scene
 from warpsar.world.tables import View
 from warpsar.world.world import geometry_of
 
-MARGIN = 2  # pixels about an object's own
+MARGIN = 1  # pixels about an object's own: beyond it changes by 2e-7 of the largest change, at most
 BESIDE_M = 0.02  # about an object across the look direction: ten times what a difference moves it by
 WIDTHS = 1.8  # full widths at half maximum, beyond which a Gaussian is under 2e-4: less than a difference is wrong by
 
@@ -67,6 +67,22 @@ def boxes(scene: Scene, view: View) -> dict[str, Box] | None:
             low.append(int(np.floor((least - far) / step + count / 2)) - MARGIN)
             high.append(int(np.ceil((most + far) / step + count / 2)) + MARGIN)
         found[one.label] = Box((low[0], low[1]), (high[0], high[1]))
+    return found
+
+
+def meetings(scene: Scene, views: Sequence[View]) -> np.ndarray | None:
+    """Which bodies may change the same pixels of any of the views, shape (bodies, bodies), in the order of the scene's;
+    None where an effect carries power anywhere."""
+    found = np.eye(len(scene.objects), dtype=bool)
+    for view in views:
+        places = boxes(scene, view)
+        if places is None:
+            return None
+        low, high = (
+            np.array([getattr(places[one.label], end) for one in scene.objects]).reshape(-1, 1, 2)
+            for end in ("low", "high")
+        )
+        found |= ((low < high.swapaxes(0, 1)) & (low.swapaxes(0, 1) < high)).all(axis=2)
     return found
 
 
