@@ -13,7 +13,7 @@ from warpsar.diagnosis.scores.score import TangentProjection, TemplateGroup, gro
 from warpsar.diagnosis.scores.templates import Template
 from warpsar.effects.base.trial import ScoreStep, Trial
 from warpsar.learning.identify import score_products
-from warpsar.runtime.matmul import times, transposed_times
+from warpsar.runtime.matmul import gram, gram_by_tiles, times, transposed_times
 
 RANDOM = np.random.default_rng(7)
 SHAPES = ((17, 23), (20, 11))
@@ -124,9 +124,22 @@ def test_a_trial_that_changes_nothing_scores_nothing() -> None:
     assert found.largest(RANDOM.standard_normal((n, 3))).tolist() == pytest.approx([0.0] * 3)
 
 
-@pytest.mark.parametrize(("n", "k", "m"), [(1, 1, 1), (255, 3, 25), (1000, 70, 25), (5000, 2, 1), (300, 0, 4)])
+@pytest.mark.parametrize(
+    ("n", "k", "m"), [(1, 1, 1), (255, 3, 25), (1000, 70, 25), (700, 70, 130), (5000, 2, 1), (300, 0, 4)]
+)
 def test_products_in_pieces(n: int, k: int, m: int) -> None:
     a, b, c = (RANDOM.standard_normal(shape) for shape in ((n, k), (n, m), (k, m)))
     for tall in (a, np.asfortranarray(a)):
         np.testing.assert_allclose(transposed_times(tall, b), a.T @ b, atol=1e-11)
         np.testing.assert_allclose(times(tall, c), a @ c, atol=1e-11)
+
+
+@pytest.mark.parametrize("k", [0, 1, 63, 150])
+def test_normal_matrices_in_pieces(k: int) -> None:
+    """Of columns of which some are 0 in some tiles of the image, too."""
+    shape, pixels = (40, 25), np.sort(RANDOM.choice(1000, 700, replace=False))
+    j, weight = RANDOM.standard_normal((700, k)), RANDOM.uniform(0.5, 2.0, 700)
+    j[pixels < 500, : k // 2] = 0.0
+    expected = j.T @ (weight[:, None] * j)
+    np.testing.assert_allclose(gram(j, weight), expected, atol=1e-11)
+    np.testing.assert_allclose(gram_by_tiles(j, weight, pixels, shape), expected, atol=1e-11)

@@ -98,6 +98,28 @@ def test_what_cannot_be_meant_is_refused_by_line(tmp_path: Path, text: str, told
 
 
 @pytest.mark.unit
+def test_columns_alone_may_state_the_size(tmp_path: Path) -> None:
+    """Without `size_m` the file must have all three columns, and each line is judged as a table is."""
+    bare = Object(**{**TABLE, "size_m": None}, poses="cars.csv")
+    columns = "east_m,north_m,length_m,width_m,height_m\n"
+    low, high = posed(bare, written(tmp_path, f"{columns}1,2,4.5,1.7,1.4\n3,4,5,2,2.5\n"))
+    assert (low.size_m, high.size_m, high.poses) == ((4.5, 1.7, 1.4), (5.0, 2.0, 2.5), None)
+    for text, told in (
+        ("east_m,north_m,length_m\n1,2,3\n", "found no column width_m, height_m for a car without size_m"),
+        ("east_m,north_m\n1,2\n", "found no column length_m, width_m, height_m"),
+        (f"{columns}1,2,0,1,1\n", "line 2: found size_m"),
+    ):
+        with pytest.raises(InputError) as refused:
+            posed(bare, written(tmp_path, text))
+        assert told in str(refused.value)
+    with pytest.raises(InputError, match="length_m beside a mesh"):
+        posed(Object(mesh="a.obj", poses="cars.csv"), written(tmp_path, f"{columns}1,2,3,1,1\n"))
+    (tmp_path / "scene.toml").write_text(SCENE.replace("size_m = [4.6, 1.8, 1.5]\n", ""), encoding="utf-8")
+    written(tmp_path, f"{columns}1,2,4.5,1.7,1.4\n")
+    assert [one.size_m for one in warpsar.Scene.load(tmp_path / "scene.toml").objects] == [(4.5, 1.7, 1.4)]
+
+
+@pytest.mark.unit
 def test_a_table_that_contradicts_its_file_is_refused() -> None:
     with pytest.raises(InputError, match="poses with position_m"):
         Object(**TABLE, poses="cars.csv", position_m=(1.0, 2.0, 0.0))

@@ -233,6 +233,7 @@ def test_a_scene_with_objects_is_saved(tmp_path: Path) -> None:
     scene = Scene.load(written(tmp_path, [FLOOR, car, part]))
     floor, one, other = scene.objects
     moved = [floor, one.model_copy(update={"position_m": (1.0, 2.0, 0.0)}), other]
+    moved[2] = other.model_copy(update={"scale": (1.0, 2.0, 1.5)})
     (tmp_path / "out").mkdir()
     posed(scene, moved).save(tmp_path / "out" / "scene.toml")
     again = Scene.load(tmp_path / "out" / "scene.toml")

@@ -26,7 +26,7 @@ from warpsar.learning.device_values import DeviceValues
 from warpsar.learning.field_levels import FieldLevels
 from warpsar.learning.geometry import Geometry
 from warpsar.learning.identify import Identified, of_information, score_products
-from warpsar.learning.pose_sharing import Box, boxes, columns_of, faces_about, shared
+from warpsar.learning.pose_sharing import Box, boxes, columns_of, faces_about, meetings, shared
 from warpsar.learning.prior import Known, Prior
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.roughness import FieldPrior, Roughness
@@ -59,12 +59,15 @@ KEPT = 3  # poses whose hits are kept
 # How far a descent goes on with the changes of an image by its poses: of a pixel, and of a log coordinate. They hardly
 # change within; where a descent seems to have arrived, they are made anew.
 KEPT_WITHIN_PX, KEPT_WITHIN = 0.1, 0.2
+BESIDE = 5.0  # times as far, for what belongs to another body near by: of its changes only a shadow or a blur is shared
 MOST_STEPS = 40
 LARGEST_MOVE_M, LARGEST_STEP = 1.0, 1.0  # in one step: of a pose, and of a log coordinate
 STANDS_M = 1e-2  # standard deviation of a foot's height about the ground that it stands on
 DAMPED = 1e-3  # damping of a first step, and least one after a step that gained nothing
 FEW_RAYS = 0.125  # of the scene's: for paths over several surfaces where images are only screened
-FLAT = 2e-3  # gain in log-likelihood that counts as none
+# Gain in log-likelihood that counts as none, and the same for each number that moves: by 5e-4 for each, a number is on
+# average within 3 % of its standard deviation of its best.
+FLAT, FLAT_OF_EACH = 2e-3, 5e-4
 # The same where rays follow paths over several surfaces: as bodies move, their noise makes steps of some tenths of it.
 FLAT_BY_RAYS = 0.5
 SMOOTH_SD = 0.3  # of the difference of a smooth field's neighbours, in log coordinates, before any image
@@ -131,6 +134,25 @@ def _of_the_grid(
     return first, max(last, first + 1)
 
 
+@dataclass(frozen=True)
+class _Changes:
+    """`found`: d(mu) / dp of each observation, shape (pixels, len(p)). `made`, (len(p),): at which of the `places` each
+    column was made, x each; -1 where none was. `central`, (len(p),): whether that was by the differences that are asked
+    for at an end."""
+
+    places: list[np.ndarray]
+    made: np.ndarray
+    central: np.ndarray
+    found: list[np.ndarray]
+
+    def renewed(self, x: np.ndarray, stale: np.ndarray, central: bool, found: list[np.ndarray]) -> _Changes:
+        """With the `stale` columns as made at x."""
+        made = np.where(stale, len(self.places), self.made)
+        used, made = np.unique(made, return_inverse=True)
+        places = [[*self.places, x.copy()][k] for k in used]
+        return _Changes(places, made, np.where(stale, central, self.central), found)
+
+
 class PosedProblem:
     """A fit problem whose geometry moves. x holds that of `FitProblem`, and then the geometry's coordinates [m].
 
@@ -170,7 +192,7 @@ class PosedProblem:
         self.geometry, self.level, self.bound, self.values = Geometry(scene), level, bound, values
         self.forward, self.rough = forward or rough, rough
         self._kept: OrderedDict[bytes, FitProblem] = OrderedDict()
-        self._changes: tuple[np.ndarray, list[np.ndarray]] | None = None  # x, and d(mu) / dp there of each observation
+        self._changes: _Changes | None = None
         self.count = len(self.geometry.coordinates)
         start = self.standing(np.zeros(self.count))
         fields = smooth and not held and not start.uniform
@@ -270,8 +292,8 @@ class PosedProblem:
     def jacobian(self, x: np.ndarray, *, near: bool = False) -> list[np.ndarray]:
         """d ln(mu) / dx of every observation, shape (pixels, len(x)), as `FitProblem.jacobian`.
 
-        Those to poses are differences of exact images, `POSE_STEP_M` to either side. `near`: those of an x
-        close by will do, if there are any.
+        Those to poses are differences of exact images, `POSE_STEP_M` to either side. `near`: for a step on the way,
+        those of an x close by will do, if there are any, and otherwise differences to one side.
         """
         found = self.slopes(x, near=near)
         if not self.scene.grid.calibrated:
@@ -303,10 +325,75 @@ class PosedProblem:
         self, problem: FitProblem, rest: np.ndarray, x: np.ndarray, *, near: bool = False
     ) -> list[np.ndarray]:
         """d(mu) / dp of every observation, shape (pixels, len(p)); `near` as in `jacobian`."""
-        if not (self.is_made_at(x) or (near and self._is_near(x))):
-            self._changes = x.copy(), self._changed(problem, rest, x[self.size :])
-        assert self._changes is not None
-        return self._changes[1]
+        if self._changes is None:
+            into = [np.zeros((seen.values.size, self.count), np.float32) for seen in problem.observations]
+            self._changes = _Changes([], np.full(self.count, -1), np.zeros(self.count, bool), into)
+        stale = self._stale(problem, rest, x, near=near)
+        if stale.any():
+            # what a step on the way needs may be less exact than what an interval is made from
+            forward = self.forward or (near and not self.by_rays)
+            found = [one.copy() for one in self._changes.found]  # another problem may have these, too
+            self._change(problem, rest, x[self.size :], np.flatnonzero(stale), found, forward=forward)
+            self._changes = self._changes.renewed(x, stale, self.forward or not forward, found)
+        return self._changes.found
+
+    def _stale(self, problem: FitProblem, rest: np.ndarray, x: np.ndarray, *, near: bool) -> np.ndarray:
+        """Which columns must be made anew at x, shape (len(p),). Where those of an x close by will do, that is asked of
+        what can change the column alone: of bodies whose pixels meet, and of what belongs to no body."""
+        last = self._changes
+        assert last is not None
+        stale = (last.made < 0) | (False if near else ~last.central)
+        within = np.full(x.size, KEPT_WITHIN_PX * min(self.scene.grid.spacing_m))
+        within[: self.size] = KEPT_WITHIN
+        matters = None
+        for k, place in enumerate(last.places):
+            rows, away = np.flatnonzero(last.made == k), np.abs(place - x) / within
+            if not near:
+                stale[rows] |= bool(away.any())
+            elif (away > 1.0).any():
+                matters = matters or self._matters(problem, rest)
+                own, beside = (one[rows] for one in matters)
+                stale[rows] = ((away > 1.0) & own).any(axis=1) | ((away > BESIDE) & beside).any(axis=1)
+        return stale
+
+    def _matters(self, problem: FitProblem, rest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Which elements of x can change each column of d(mu) / dp, shape (len(p), len(x)): those of its own body and
+        those of none, and those of other bodies."""
+        scene, coordinates = replace(problem.scene, effects=problem.effect_tables(rest)), self.geometry.coordinates
+        everything = np.ones((self.count, self.x0.size), bool)
+        met = meetings(without_paths(scene) if self.rough else scene, [view.view for view in problem.views])
+        if met is None:
+            return everything, everything
+        labels = [one.label for one in scene.objects]
+        belongs = [self.owners, *(np.array([one == c.body for one in labels]) for c in coordinates)]
+        of_bodies = np.column_stack(belongs)
+        own = of_bodies | ~of_bodies.any(axis=0)
+        beside = met.astype(int) @ of_bodies.astype(int) > 0
+        bodies = [None if c.body is None else labels.index(c.body) for c in coordinates]
+        rows = [(everything[0], everything[0]) if k is None else (own[k], beside[k]) for k in bodies]
+        return np.array([one for one, _ in rows]), np.array([other for _, other in rows])
+
+    @cached_property
+    def owners(self) -> np.ndarray:
+        """Which bodies each element of x before the geometry belongs to, shape (bodies, size): those of its material,
+        where nothing else is made of it; none for what all have in common."""
+        problem = self.standing(np.zeros(self.count))
+        scene, found = problem.scene, np.zeros((len(problem.scene.objects), self.size), bool)
+        if self.levels is not None or not self.size or scene.assembly is None:
+            return found
+        faces = scene.assembly.faces_of(scene.objects)
+        of_bodies = np.zeros(len(scene.mesh.faces), bool)
+        of_bodies[np.concatenate([*faces.values(), np.zeros(0, int)]).astype(int)] = True
+        common = set(scene.mesh.face_material[~of_bodies].tolist())
+        users: dict[str, list[int]] = {}
+        for number, one in enumerate(scene.objects):
+            for material in set(scene.mesh.face_material[faces[one.label]].tolist()) - common:
+                users.setdefault(scene.mesh.materials[material], []).append(number)
+        for at, parameter in problem.numbers():
+            name = parameter.owner if parameter.root == "materials" else parameter.entry
+            if at < self.size and name in users:
+                found[users[name], at] = True
+        return found
 
     def tangent(self, x: np.ndarray, *, near: bool = False) -> csr_array:
         """`jacobian` of all observations' pixels, one after the other, beside smooth fields, shape (n, len(x)). Gains
@@ -327,49 +414,65 @@ class PosedProblem:
         """Take the changes by poses at the start from a problem of the same scene that has these views and others."""
         if not other.is_made_at(other.x0):
             other.jacobian(other.x0)
-        assert other._changes is not None
+        changed = other._changes
+        assert changed is not None
         known, mine = (one.standing(np.zeros(one.count)).observations for one in (other, self))
-        changes = {(s.view.name, s.polarization): each for s, each in zip(known, other._changes[1], strict=True)}
-        self._changes = self.x0.copy(), [changes[s.view.name, s.polarization] for s in mine]
-
-    def _is_near(self, x: np.ndarray) -> bool:
-        """Whether the last changes by poses were made at an x close to this one."""
-        if self._changes is None:
-            return False
-        away = np.abs(x - self._changes[0])
-        within = np.full(x.size, KEPT_WITHIN_PX * min(self.scene.grid.spacing_m))
-        within[: self.size] = KEPT_WITHIN
-        return bool((away <= within).all())
+        changes = {(s.view.name, s.polarization): each for s, each in zip(known, changed.found, strict=True)}
+        found = [changes[s.view.name, s.polarization] for s in mine]
+        self._changes = _Changes([self.x0.copy()], np.zeros(self.count, int), np.ones(self.count, bool), found)
 
     def is_made_at(self, x: np.ndarray) -> bool:
-        """Whether the last changes by poses were made at this x."""
-        return self._changes is not None and np.array_equal(x, self._changes[0])
+        """Whether all changes by poses were made at this x, and as exactly as they are asked for at an end."""
+        last = self._changes
+        if last is None or not last.central.all() or (last.made < 0).any():
+            return False
+        return all(np.array_equal(place, x) for place in last.places)
 
-    def _changed(self, problem: FitProblem, rest: np.ndarray, p: np.ndarray) -> list[np.ndarray]:
-        """d(mu) / dp of every observation, shape (pixels, len(p)) each."""
-        found, tasks = [], []
+    def _change(
+        self,
+        problem: FitProblem,
+        rest: np.ndarray,
+        p: np.ndarray,
+        columns: np.ndarray,
+        into: list[np.ndarray],
+        *,
+        forward: bool,
+    ) -> None:
+        """Fill `columns` of d(mu) / dp of every observation, shape (pixels, len(p)) each."""
+        tasks, start = [], 0
         for view in problem.views:
-            into = [np.zeros((seen.values.size, p.size), np.float32) for seen in view.observations]
-            tasks += self._moves(problem, view, rest, p, into)
-            found += into
+            end = start + len(view.observations)
+            tasks += self._moves(problem, view, rest, p, columns, into[start:end], forward=forward)
+            start = end
         for _ in threads.ordered(tasks, self.device):
             pass
-        return found
 
     def _moves(
-        self, problem: FitProblem, view: FitView, rest: np.ndarray, p: np.ndarray, into: list[np.ndarray]
+        self,
+        problem: FitProblem,
+        view: FitView,
+        rest: np.ndarray,
+        p: np.ndarray,
+        columns: np.ndarray,
+        into: list[np.ndarray],
+        *,
+        forward: bool,
     ) -> list[Callable[[], None]]:
-        """Tasks that fill the view's columns of `into`, d(mu) / dp: one for all that may move in one render, or for all
-        that share the render of what stands, where differences are forward ones."""
+        """Tasks that fill `columns` of the view's d(mu) / dp, `into`: one for all that may move in one render, or for
+        all that share the render of what stands, where differences are forward ones."""
         scene = replace(problem.scene, effects=problem.effect_tables(rest))
         places = boxes(without_paths(scene) if self.rough else scene, view.view)
         coordinates, name = self.geometry.coordinates, view.view.name
         tasks: dict[object, list[Sequence[int]]] = {}
-        for group in shared(coordinates, places):
+        for numbers in shared([coordinates[k] for k in columns], places):
+            group = [int(columns[number]) for number in numbers]
             if any(coordinates[k].changes(name) for k in group):
                 bodies = frozenset(coordinates[k].body for k in group)
-                tasks.setdefault(bodies if self.forward else tuple(group), []).append(group)
-        return [partial(self._moved, problem, view, rest, p, groups, places, into) for groups in tasks.values()]
+                tasks.setdefault(bodies if forward else tuple(group), []).append(group)
+        return [
+            partial(self._moved, problem, view, rest, p, groups, places, into, forward=forward)
+            for groups in tasks.values()
+        ]
 
     def _moved(
         self,
@@ -380,6 +483,8 @@ class PosedProblem:
         groups: Sequence[Sequence[int]],
         places: Mapping[str, Box] | None,
         into: list[np.ndarray],
+        *,
+        forward: bool,
     ) -> None:
         """Fill the columns of groups that move the same bodies: differences of the power before the image stage, taken
         through that stage. An angle and a spacing may change that stage, too, so theirs are differences of images."""
@@ -395,8 +500,8 @@ class PosedProblem:
             paths = not self.rough
             return render_elsewhere(problem, view, rest, stepped, band, faces, paths=paths, coarse=self.forward)
 
-        standing = at(np.zeros(p.size)) if self.forward else None
-        apart = POSE_STEP_M if self.forward else 2.0 * POSE_STEP_M
+        standing = at(np.zeros(p.size)) if forward else None
+        apart = POSE_STEP_M if forward else 2.0 * POSE_STEP_M
         for group in groups:
             step = np.zeros(p.size)
             step[group] = POSE_STEP_M
@@ -551,14 +656,14 @@ def descend(
     problem: PosedProblem, x: np.ndarray, *, most: int = MOST_STEPS, flat: float | None = None, near: bool = False
 ) -> Descended:
     """Levenberg-Marquardt from x over surface, effects and poses, until a step promises a gain of less than `flat`; by
-    default `FLAT`, or `FLAT_BY_RAYS`.
+    default `FLAT`, more where many numbers move, or `FLAT_BY_RAYS`.
 
     No step moves an object by more than `LARGEST_MOVE_M`. `near`: the end may be a place where changes of the image by
     poses are those of a place close by, as for a search that goes on from there, or by rays.
     """
     ends_near = near or problem.by_rays
     if flat is None:
-        flat = FLAT_BY_RAYS if problem.by_rays else FLAT
+        flat = FLAT_BY_RAYS if problem.by_rays else max(FLAT, FLAT_OF_EACH * x.size)
     low, high = problem.bounds
     x = np.clip(x, low, high)
     loss, damping = problem.value(x), DAMPED
@@ -692,7 +797,7 @@ def _step(gradient: np.ndarray, hessian: np.ndarray, free: np.ndarray, damping: 
 
 def _shortened(problem: PosedProblem, step: np.ndarray) -> np.ndarray:
     """Each part of the step within its own bound: neither a surface in its valley nor another body must hold a body
-    back, and no node of a smooth field another one."""
+    back, nor the surface of one body that of another, and no node of a smooth field another one."""
     found = step.copy()
     fields = np.zeros(step.size, bool) if problem.nodes is None else problem.nodes > 0
     found[fields] = np.clip(step[fields], -LARGEST_STEP, LARGEST_STEP)
@@ -700,7 +805,11 @@ def _shortened(problem: PosedProblem, step: np.ndarray) -> np.ndarray:
     for k, one in enumerate(problem.geometry.coordinates, start=problem.size):
         parts.setdefault(one.body, []).append(k)
     moves = [(each, LARGEST_MOVE_M) for each in parts.values()]
-    for part, most in [(np.flatnonzero(~fields[: problem.size]).tolist(), LARGEST_STEP), *moves]:
+    surfaces: dict[bytes, list[int]] = {}
+    for at in np.flatnonzero(~fields[: problem.size]).tolist():
+        surfaces.setdefault(problem.owners[:, at].tobytes(), []).append(at)
+    shades = [(each, LARGEST_STEP) for each in surfaces.values()]
+    for part, most in [*shades, *moves]:
         largest = float(np.abs(step[part]).max(initial=0.0))
         found[part] *= min(1.0, most / largest) if largest else 1.0
     return found

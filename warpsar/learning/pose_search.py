@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -12,12 +13,13 @@ import numpy as np
 import warp as wp
 
 from warpsar.compare.observation import Observation
+from warpsar.effects.registry import declared, response_of
 from warpsar.errors import InputError
 from warpsar.learning.device_values import DeviceValues
-from warpsar.learning.geometry import freed, still
+from warpsar.learning.geometry import Geometry, freed, still
 from warpsar.learning.identify import Identified
 from warpsar.learning.pose import Descended, PosedNumbers, PosedProblem, descend
-from warpsar.learning.pose_pixels import compared
+from warpsar.learning.pose_pixels import PosePixels, compared
 from warpsar.learning.prior import Known, Prior
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.pull import Pull, pulls
@@ -27,6 +29,7 @@ from warpsar.scene.placing import with_objects
 from warpsar.scene.scene import Scene
 from warpsar.simulation.exact_rays import ExactRays
 from warpsar.surface.stage import Stage
+from warpsar.surface.surface import Surface
 from warpsar.world.objects.table import Learnable, Object
 from warpsar.world.tables import Grid, View
 from warpsar.world.tolerance import pinned
@@ -34,7 +37,8 @@ from warpsar.world.tolerance import pinned
 T = TypeVar("T", View, Grid)
 
 SEARCH_BLUR_M = (3.0, 1.5, 0.75)  # full widths at half maximum: an object is found from as far away as it is blurred
-SEARCH_STEPS, SEARCH_FLAT = 12, 1.0
+SEARCH_STEPS, SEARCH_FLAT, SEARCH_FLAT_OF_EACH = 12, 1.0, 0.1
+"""The search ends where a step promises less of the log-likelihood than 1, or than 0.1 for each number that moves."""
 TRADES = 0.95  # correlation from which two numbers are said to trade
 UNKNOWN_M = 1.0  # standard deviation at an object's edge from which a move is called unknown
 SHARE = 0.2  # of a unit move, from which a number is part of it
@@ -106,6 +110,17 @@ class PoseSearch:
             [pull for pull in pulls(of_x, x, identified) if pull.label in tolerated],
         )
 
+    def shaded(self) -> PoseSearch:
+        """The search with surfaces and effects at their best where nothing moves. Where all bodies are known to be
+        near, steps that move them need not bring them to their brightness first."""
+        if self.held or not lacks_fields(self.scene):
+            return self
+        alone = replace(self, scene=still(self.scene), standing=())
+        both = compared(alone.scene, alone.pixels, 0.0, alone.gains)
+        problem = alone._problem(both, 0.0)
+        there = descend(problem, problem.start_from(self.known), flat=search_flat(problem), near=True)
+        return replace(self, known=dict(zip(problem.labels, there.x.tolist(), strict=True)))
+
     def _values_at(self, problem: PosedProblem, x: np.ndarray) -> DeviceValues:
         """The tables and terms at an x of the problem."""
         inner, rest = problem.split(x)
@@ -117,7 +132,14 @@ class PoseSearch:
         Blurred images hold the point spread that a scene declares, so it is no part of their x.
         """
         both = compared(self.scene, self.pixels, blur_m, self.gains)
-        problem = PosedProblem(
+        problem = self._problem(both, blur_m)
+        start = problem.start_from(self.known)
+        if not blur_m:
+            return problem, descend(problem, start)
+        return problem, descend(problem, start, most=SEARCH_STEPS, flat=search_flat(problem), near=True)
+
+    def _problem(self, both: PosePixels, blur_m: float) -> PosedProblem:
+        return PosedProblem(
             both.scene,
             self.device,
             both.observations,
@@ -129,15 +151,21 @@ class PoseSearch:
             smooth=self.smooth,
             values=self.values,
         )
-        start = problem.start_from(self.known)
-        if not blur_m:
-            return problem, descend(problem, start)
-        return problem, descend(problem, start, most=SEARCH_STEPS, flat=SEARCH_FLAT, near=True)
 
     def loss_without(self) -> float:
         """The loss where nothing of the geometry moves."""
         _, end = replace(self, scene=still(self.scene), known={}, standing=()).descended(0.0)
         return end.loss
+
+
+def search_flat(problem: PosedProblem) -> float:
+    """The promised gain in log-likelihood at which a search ends."""
+    return max(SEARCH_FLAT, SEARCH_FLAT_OF_EACH * problem.x0.size)
+
+
+def lacks_fields(scene: Scene) -> bool:
+    """Whether each surface parameter that is learned is one number."""
+    return all(block.layout == "uniform" for block in Surface.of(scene).blocks if block.learn)
 
 
 def find_poses(
@@ -157,24 +185,25 @@ def find_poses(
 
     `views`: names of the views to use; by default those with role train. `observations`, by view name: frozen pixels
     that other models are compared on; by default those that the scene as given lights. `search`: begin with blurred
-    images, which find an object from 3 m, 20 degrees and 20 % away. `standing`: labels of objects whose foot stays at
-    its height, where their own is learned. `smooth`: fields move along, as in `PosedProblem`. `values`: tables and
-    learned terms to fit along. Raises InputError where nothing of the geometry is to be learned, and for views without
-    images.
+    images, which find an object from 3 m, 20 degrees and 20 % away, unless all is known to be near (`known_near`).
+    `standing`: labels of objects whose foot stays at its height, where their own is learned. `smooth`: fields move
+    along, as in `PosedProblem`. `values`: tables and learned terms to fit along. Raises InputError where nothing of the
+    geometry is to be learned, and for views without images.
     """
+    near = search and known_near(scene)
     begun = search_poses(
         scene,
         device,
         views=views,
         observations=observations,
         loss=loss,
-        blurs_m=SEARCH_BLUR_M if search else (),
+        blurs_m=SEARCH_BLUR_M if search and not near else (),
         held=held,
         standing=standing,
         smooth=smooth,
         values=values,
     )
-    return begun.finish()
+    return (begun.shaded() if near else begun).finish()
 
 
 def search_poses(
@@ -202,6 +231,27 @@ def search_poses(
         gain = blurred.value(blurred.x0) - there.loss if blur_m == blurs_m[-1] else 0.0
         found = replace(found, gain=gain, known=dict(zip(blurred.labels, there.x.tolist(), strict=True)))
     return found
+
+
+def known_near(scene: Scene) -> bool:
+    """Whether all that is to be found is known so well that a sharp image finds it: by twice its standard deviation it
+    moves outlines by no more than a point of the image is wide on the ground. Otherwise blurred images must come first.
+    """
+    geometry = Geometry(scene)
+    most = min((_point_m(scene, view) for view in scene.views if view.role == "train"), default=0.0)
+    for c, (about, sd) in zip(geometry.coordinates, geometry.known, strict=True):
+        shared = geometry.shared(c)
+        both = math.hypot(sd, shared[1] if shared is not None else 0.0)
+        if (abs(c.start - about) + 2.0 * both) / abs(c.per_metre(0.0)) > most:
+            return False
+    return True
+
+
+def _point_m(scene: Scene, view: View) -> float:
+    """How wide a point is in a view, on level ground, as the side of a square [m]: its response, and a pixel."""
+    asked = response_of(declared(scene, view)).width_m
+    along, across = (math.hypot(wide or 0.0, step) for wide, step in zip(asked, scene.grid.spacing_m, strict=True))
+    return math.sqrt(along * across / math.sin(math.radians(view.incidence_deg)))
 
 
 def lit_pixels(

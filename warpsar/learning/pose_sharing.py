@@ -70,6 +70,22 @@ def boxes(scene: Scene, view: View) -> dict[str, Box] | None:
     return found
 
 
+def meetings(scene: Scene, views: Sequence[View]) -> np.ndarray | None:
+    """Which bodies may change the same pixels of any of the views, shape (bodies, bodies), in the order of the scene's;
+    None where an effect carries power anywhere."""
+    found = np.eye(len(scene.objects), dtype=bool)
+    for view in views:
+        places = boxes(scene, view)
+        if places is None:
+            return None
+        low, high = (
+            np.array([getattr(places[one.label], end) for one in scene.objects]).reshape(-1, 1, 2)
+            for end in ("low", "high")
+        )
+        found |= ((low < high.swapaxes(0, 1)) & (low.swapaxes(0, 1) < high)).all(axis=2)
+    return found
+
+
 def faces_about(scene: Scene, view: View, bodies: Collection[str]) -> np.ndarray:
     """The faces of the scene's mesh, shape (faces,), that bodies may hide or be hidden by, and their own, by label.
 

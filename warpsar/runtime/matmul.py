@@ -20,16 +20,34 @@ def _rows(k: int, m: int) -> int:
 
 def transposed_times(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """a' b, shape (k, m), of `a`, shape (n, k), and `b`, shape (n, m)."""
-    (n, k), m = a.shape, b.shape[1]
+    (_, k), m = a.shape, b.shape[1]
     found = np.empty((k, m), np.result_type(a, b))
     for first in range(0, k, COLUMNS):
-        part = a[:, first : first + COLUMNS]
-        rows = _rows(part.shape[1], m)
-        whole = n - n % rows
-        pieces = part[:whole].reshape(n // rows, rows, part.shape[1]).swapaxes(1, 2) @ b[:whole].reshape(
-            n // rows, rows, m
-        )
-        found[first : first + COLUMNS] = pieces.sum(axis=0) + part[whole:].T @ b[whole:]
+        for other in range(0, m, COLUMNS):
+            block = slice(first, first + COLUMNS), slice(other, other + COLUMNS)
+            found[block] = _block(a[:, block[0]], b[:, block[1]])
+    return found
+
+
+def _block(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """a' b of at most `COLUMNS` columns each, by pieces of their rows."""
+    (n, k), m = a.shape, b.shape[1]
+    rows = _rows(k, m)
+    whole = n - n % rows
+    pieces = a[:whole].reshape(n // rows, rows, k).swapaxes(1, 2) @ b[:whole].reshape(n // rows, rows, m)
+    return np.asarray(pieces.sum(axis=0) + a[whole:].T @ b[whole:])
+
+
+def gram(j: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """j' diag(weight) j, shape (k, k), of `j`, shape (n, k): the half above the diagonal is the other half, too."""
+    k, weighted = j.shape[1], weight[:, None] * j
+    found = np.empty((k, k))
+    for first in range(0, k, COLUMNS):
+        for other in range(first, k, COLUMNS):
+            row, column = slice(first, first + COLUMNS), slice(other, other + COLUMNS)
+            block = _block(j[:, row], weighted[:, column])
+            found[column, row] = block.T
+            found[row, column] = block
     return found
 
 
@@ -49,7 +67,7 @@ def gram_by_tiles(j: np.ndarray, weight: np.ndarray, pixels: np.ndarray, shape: 
         part = j[inside]
         some = np.flatnonzero(part.any(axis=0))
         part = part[:, some]
-        found[np.ix_(some, some)] += transposed_times(part, weight[inside, None] * part)
+        found[np.ix_(some, some)] += gram(part, weight[inside])
     return found
 
 

@@ -221,7 +221,8 @@ def refuse_both_kinds(world: World) -> None:
 def posed(world: W, objects: Sequence[Object]) -> W:
     """The scene with its objects, the same ones, at other places or of other sizes."""
     assert world.assembly is not None
-    return replace(world, objects=tuple(objects), mesh=world.assembly.mesh(objects))
+    mesh = world.assembly.moved_mesh(world.mesh, world.objects, objects)
+    return replace(world, objects=tuple(objects), mesh=mesh)
 
 
 def geometry_of(world: World, view: View) -> ViewGeometry:

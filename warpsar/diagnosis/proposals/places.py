@@ -47,6 +47,14 @@ def free_ground(mesh: Mesh, east: np.ndarray, north: np.ndarray) -> np.ndarray:
     return np.where(alone, lowest, np.nan)
 
 
+def covers(corners: np.ndarray, at: Sequence[float]) -> bool:
+    """Whether one of the triangles, (n, 3, 3) [m], lies above or below a place, (east, north) [m]."""
+    east, north = np.array([at[0]]), np.array([at[1]])
+    low, high = corners[..., :2].min(axis=1), corners[..., :2].max(axis=1)
+    near = np.flatnonzero(((low <= at) & (high >= at)).all(axis=1))
+    return any(bool(np.isfinite(_height(corners[k], east, north)).all()) for k in near)
+
+
 def _height(corners: np.ndarray, east: np.ndarray, north: np.ndarray) -> np.ndarray:
     """The height of a triangle, (3, 3) [m], over each point of a grid; NaN beside it, and for one that is upright."""
     a, b, c = corners

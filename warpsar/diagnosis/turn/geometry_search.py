@@ -12,7 +12,6 @@ from dataclasses import replace
 from typing import cast
 
 import numpy as np
-from scipy.spatial import Delaunay
 
 from warpsar.diagnosis.geometry.base.body import BodyChange, BodyScreening
 from warpsar.diagnosis.geometry.base.change import GeometryCandidate, Hypothesis
@@ -22,6 +21,7 @@ from warpsar.diagnosis.models.effect_gain import FAR_BEHIND, EffectGain
 from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.movable import bodies, disjoint, freed
 from warpsar.diagnosis.models.refit import BOUND, Fitted
+from warpsar.diagnosis.proposals.places import covers
 from warpsar.learning.geometry import still
 from warpsar.learning.pose_search import SEARCH_BLUR_M
 from warpsar.runtime import once
@@ -110,14 +110,16 @@ def _or_grown(declared: Scene, setup: FitSetup, here: Fitted, one: GeometryCandi
 
 
 def _around(scene: Scene, one: Object) -> str | None:
-    """The smallest body of the scene about whose foot an object's middle lies, in plan; None where there is none."""
+    """The smallest body of the scene that has a face above or below an object's middle; None where there is none.
+
+    Faces count, and not the outline of all: the walls of a town are one group, and what lies between two houses is
+    within neither of them.
+    """
     found: list[tuple[float, str]] = []
     for label, faces in bodies(scene, scene).items():
-        plan = np.unique(scene.mesh.vertices[scene.mesh.faces[faces].ravel(), :2], axis=0)
-        if np.ptp(plan, axis=0).min() > 0.0:
-            hull = Delaunay(plan)
-            if hull.find_simplex(one.position_m[:2]) >= 0:
-                found.append((float(np.ptp(plan, axis=0).prod()), label))
+        corners = scene.mesh.vertices[scene.mesh.faces[faces]]
+        if covers(corners, one.position_m[:2]):
+            found.append((float(np.ptp(corners[..., :2].reshape(-1, 2), axis=0).prod()), label))
     return min(found, default=(0.0, None))[1]
 
 

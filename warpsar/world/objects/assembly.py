@@ -34,6 +34,8 @@ class Assembly:
     bodies: Bodies
     _wholes: dict[tuple[object, ...], Mesh] = field(default_factory=dict, repr=False)
     """By what the objects are, wherever they stand: a mesh whose arrays, but the vertices, serve every pose."""
+    _counts: dict[tuple[object, ...], int] = field(default_factory=dict, repr=False)
+    """By what an object is: how many vertices it has."""
 
     @classmethod
     def of(cls, base: Mesh | None, objects: Sequence[Object], bodies: Bodies) -> Assembly:
@@ -71,6 +73,25 @@ class Assembly:
         vertices = [] if self.base is None else [self._base(objects).vertices]
         vertices += [self.vertices_of(one) for one in objects if one.group is None]
         return replace(self._wholes[key], vertices=np.concatenate(vertices))
+
+    def moved_mesh(self, mesh: Mesh, before: Sequence[Object], after: Sequence[Object]) -> Mesh:
+        """`mesh`, which has the objects `before`, with those `after`: only what is another object is placed anew."""
+        same = all(_kind(one) == _kind(other) for one, other in zip(before, after, strict=True) if one is not other)
+        if self.moved or not same:
+            return self.mesh(after)
+        vertices, start = mesh.vertices.copy(), 0 if self.base is None else len(self.base.vertices)
+        for old, new in zip(before, after, strict=True):
+            count = self._vertex_count(new)
+            if old is not new:
+                vertices[start : start + count] = self.vertices_of(new)
+            start += count
+        return replace(mesh, vertices=vertices)
+
+    def _vertex_count(self, one: Object) -> int:
+        key = _kind(one)
+        if key not in self._counts:
+            self._counts[key] = len(self.vertices_of(one))
+        return self._counts[key]
 
     def faces_of(self, objects: Sequence[Object]) -> dict[str, NDArray[np.integer]]:
         """Which faces of `mesh` are an object's, by its label."""

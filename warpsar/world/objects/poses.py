@@ -29,8 +29,9 @@ def posed(one: Object, path: Path) -> list[Object]:
 
     `east_m` and `north_m` (or `x_m` and `y_m`) must be there. A column that is missing leaves the table's own value:
     `up_m` or `z_m`, `heading_deg` clockwise from north or `heading_ccw_deg`, `pitch_deg`, `roll_deg`, `length_m`,
-    `width_m`, `height_m`, `material`, and `name`, which is the table's with the number of the line otherwise. Other
-    columns are not read, and neither is a line that begins with `#`.
+    `width_m`, `height_m`, `material`, and `name`, which is the table's with the number of the line otherwise. A
+    primitive without `size_m` must have all three columns of it. Other columns are not read, and neither is a line that
+    begins with `#`.
 
     Raises InputError, one message for each line that cannot be meant.
     """
@@ -44,8 +45,14 @@ def posed(one: Object, path: Path) -> list[Object]:
             raise InputError(f"{path}: found the columns {', '.join(columns)}; {' or '.join(names)} is missing")
     if {"heading_deg", COUNTER_CLOCKWISE} <= set(known):
         raise InputError(f"{path}: found heading_deg and {COUNTER_CLOCKWISE}; must be one of them")
-    if (sized := [name for name in SIZE if name in known]) and one.size_m is None:
+    if (sized := [name for name in SIZE if name in known]) and one.primitive is None:
         raise InputError(f"{path}: found the column {sized[0]} beside a mesh, which has a size; must be left out there")
+    if one.primitive is not None and one.size_m is None and len(sized) < len(SIZE):
+        lacking = ", ".join(name for name in SIZE if name not in sized)
+        raise InputError(
+            f"{path}: found no column {lacking} for a {one.primitive} without size_m; "
+            f"must have {', '.join(SIZE)}, or the table must state size_m"
+        )
     stated = one.model_dump(mode="python", exclude_unset=True, exclude={"poses"}, warnings=False)
     stated.setdefault("survey", path.stem)
     found, problems = [], []
@@ -90,8 +97,9 @@ def _stated(row: Mapping[str, str], one: Object) -> dict[str, Any]:
     found |= {key: numbers[key] for key in ANGLES if key in numbers}
     if COUNTER_CLOCKWISE in numbers:
         found["heading_deg"] = -numbers[COUNTER_CLOCKWISE]
-    if one.size_m is not None:
-        found["size_m"] = tuple(numbers.get(key, size) for key, size in zip(SIZE, one.size_m, strict=True))
+    if one.primitive is not None:
+        of_table = one.size_m or (None,) * len(SIZE)
+        found["size_m"] = tuple(numbers.get(key, size) for key, size in zip(SIZE, of_table, strict=True))
     return found
 
 

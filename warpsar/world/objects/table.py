@@ -74,7 +74,8 @@ class Object(Table):
     )
     size_m: tuple[_Size, _Size, _Size] | None = Field(
         default=None,
-        description="Length (along the front), width and height of a primitive [m].",
+        description="Length (along the front), width and height of a primitive [m]; "
+        "may be left out beside `poses` whose file has all three.",
         examples=[[4.5, 1.8, 1.5]],
     )
     cabin: _Share | None = Field(
@@ -234,6 +235,8 @@ class Object(Table):
                 raise ValueError(f"found survey_tolerance of {key}; must have a tolerance of it, too, in its unit")
 
     def _refuse_sizes(self) -> None:
+        if self.size_m is None and self.poses is not None:
+            return  # the file's columns state it, and each body is judged for itself
         if self.size_m is None:
             raise ValueError(f"found a {self.primitive} without size_m; must be [length, width, height]")
         zeros = sum(size == 0 for size in self.size_m)
