@@ -231,8 +231,8 @@ def _followed(render: Recorder, max_bounces: int, cell_m: tuple[float, float] | 
     planes = pieces.surfaces(planes, _FINE / hits.rays_per_m2)
     sent = _path_rays(render, rays, planes, curved, max_bounces)
     size = (last - first, rays.elevation_cells) if cells is not None and curved.turn.any() else (0, 0)
-    wide: wp.array = wp.zeros(size, dtype=wp.uint8, device=target.device)
-    tasks = [partial(_band, render, sent, cells, band, wide) for band in bands]
+    spread_from: wp.array = wp.zeros(size, dtype=wp.uint8, device=target.device)
+    tasks = [partial(_band, render, sent, cells, band, spread_from) for band in bands]
     traced_bands = list(threads.ordered(tasks, target.device))
     plain = [_Traced([one and _Merged(one.records, None) for one in band.of], band.area) for band in traced_bands]
     shared: list[SharedFields | None] = [None] * (max_bounces - 1)
@@ -248,13 +248,13 @@ def _followed(render: Recorder, max_bounces: int, cell_m: tuple[float, float] | 
             shared = _shared(traced_bands, max_bounces, grid, cell_m)
     remarks = _remarks(error)
     smooth = fill(kernels.SmoothFaces, turn=wp.empty(0, dtype=float, device=target.device))
-    if cell_m is not None and wide.shape[0] > 0:
+    if cell_m is not None and spread_from.shape[0] > 0:
         smooth = fill(
             kernels.SmoothFaces,
             turn=sent.turn,
             normals=wp.array(curved.normals, dtype=wp.vec3d, device=target.device),
         )
-        spread, all_sent = _spread(render, sent, cells, smooth, wide.numpy())
+        spread, all_sent = _spread(render, sent, cells, smooth, spread_from.numpy())
         if any(one is not None for band in spread for one in band.of):
             shared = _shared([*traced_bands, *spread], max_bounces, grid, cell_m)
         if not all_sent:
