@@ -203,7 +203,7 @@ def two_boxes(apart_m: float, **more: Any) -> Scene:
     return with_objects(scene, objects, {"g": Material(**SOIL, learn=()), **bricks})
 
 
-@pytest.mark.parametrize(("apart_m", "others"), [(16.0, 0), (8.0, 2)])
+@pytest.mark.parametrize(("apart_m", "others"), [(16.0, 0), (7.0, 2)])
 def test_changes_of_bodies_that_stay_are_kept(monkeypatch: pytest.MonkeyPatch, apart_m: float, others: int) -> None:
     """One of two boxes turns brighter and moves by half a metre: its two columns are made again, and those of the other
     only where their pixels meet. Whatever is kept is as a problem that begins there has it."""

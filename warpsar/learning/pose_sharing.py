@@ -13,7 +13,7 @@ from warpsar.scene.scene import Scene
 from warpsar.world.tables import View
 from warpsar.world.world import geometry_of
 
-MARGIN = 2  # pixels about an object's own
+MARGIN = 1  # pixels about an object's own: beyond it changes by 2e-7 of the largest change, at most
 BESIDE_M = 0.02  # about an object across the look direction: ten times what a difference moves it by
 WIDTHS = 1.8  # full widths at half maximum, beyond which a Gaussian is under 2e-4: less than a difference is wrong by
 
