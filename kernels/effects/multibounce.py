@@ -34,6 +34,9 @@ HALVINGS = wp.constant(14)
 along the line of sight."""
 FINEST = wp.constant(32)
 """Parts of a strip, into which it is cut at most where a corner lies in it."""
+SEEK = wp.constant(0.2)
+"""Radians between both sides of a tube that goes on from a curved surface: a body that looks smaller from there may be
+missed."""
 PRIME = wp.constant(wp.uint64(1099511628211))
 """Of the hash FNV-1a."""
 
@@ -77,6 +80,9 @@ class PathRecords:
     area: wp.array(
         dtype=float
     )  # of the rays that meet two surfaces, and of those that go on after all bounces [pixels]
+    wide: wp.array2d(
+        dtype=wp.uint8
+    )  # cells (azimuth, elevation) whose tubes curved surfaces spread; empty if not asked
 
 
 @wp.struct
@@ -131,15 +137,17 @@ def apparent_point(grid: RayGrid, entry: wp.vec3, exit: wp.vec3, between: float)
 @wp.struct
 class PathRays:
     """What rays of a view are followed with. `plane` numbers what borders lie between: the planes of faces, but for
-    small pieces of curved surfaces; `piece` is the area [m2] of each face's piece of such a surface
-    (`warpsar.effects.bounces.curved`); `size` [m] is the mesh's: how far a ray may go from one surface to the next."""
+    small pieces of curved surfaces. `turn` is by how much the normal of each face's smooth surface turns [rad/m], 0 on
+    flat ones, and `bend` how far it is from the face's own [rad] (`warpsar.effects.bounces.curved`). `size` [m] is the
+    mesh's: how far a ray may go from one surface to the next."""
 
     grid: RayGrid
     mesh: Triangles
     columns: ImageColumns
     tree: wp.uint64
     plane: wp.array(dtype=int)
-    piece: wp.array(dtype=float)
+    turn: wp.array(dtype=float)
+    bend: wp.array(dtype=float)
     max_bounces: int
     size: float
 
@@ -178,6 +186,8 @@ def follow(
     reach = grid.reach
     mark = wp.uint64(0)
     returns = wp.uint64(0)
+    bent = int(0)  # curved surfaces before
+    inner = int(0)  # those that were not the first
     for bounce in range(rays.max_bounces):
         query = wp.mesh_query_ray(rays.tree, origin + clear * side, direction, reach)
         if not query.result:
@@ -194,6 +204,21 @@ def follow(
         met[bounce] = query.face + 1
         second[bounce] = hit.b1
         third[bounce] = hit.b2
+        if written and records.wide.shape[0] > 0:
+            curved = int(0)
+            if rays.turn[query.face] > 0.0:
+                curved = 1
+            spreads = bounce > 0 and (bent + curved >= 2 or inner > 0)
+            if curved > 0 and bounce < rays.max_bounces - 1:
+                turned = rays.turn[query.face] * grid.azimuth_step / wp.abs(slope)
+                spreads = spreads or wp.max(turned, rays.bend[query.face]) > 0.5 * SEEK
+            if spreads:
+                i = int(wp.floor((tube[0] - grid.azimuth_start) / grid.azimuth_step)) - grid.first_cell
+                j = int(wp.floor((tube[1] - grid.elevation_start) / grid.elevation_step))
+                records.wide[i, j] = wp.uint8(1)
+            bent += curved
+            if bounce > 0:
+                inner += curved
         home = -look_direction(grid, point)
         returned = int(0)
         if bounce == 0:
@@ -590,11 +615,52 @@ def normal_of(mesh: Triangles, face: int) -> wp.vec3:
     return wp.normalize(wp.cross(e1, e2))
 
 
+@wp.struct
+class SmoothFaces:
+    """Faces of curved surfaces: `turn` as in `PathRays`, and `normals` of the corners of each face, (faces, 3). Both
+    are empty where paths were followed over flat faces."""
+
+    turn: wp.array(dtype=float)
+    normals: wp.array2d(dtype=wp.vec3d)
+
+
+@wp.func
+def spread_over(turn: wp.array(dtype=float), met: faces_met, bounces: int) -> bool:
+    """Whether a way leads over several curved surfaces, or over one that is neither the first nor the last."""
+    curved = int(0)
+    inner = int(0)
+    for k in range(bounces):
+        if turn.shape[0] > 0:
+            if turn[met[k] - 1] > 0.0:
+                curved += 1
+                if k > 0 and k < bounces - 1:
+                    inner += 1
+    return curved >= 2 or inner > 0
+
+
+@wp.func
+def arrival_at(mesh: Triangles, paths: PathRecords, i: int, k: int) -> wp.vec3:
+    """The direction of a path from one of its places, k - 1, to the next."""
+    met = paths.faces[i]
+    second = paths.second[i]
+    third = paths.third[i]
+    before = place_on(mesh, met[k - 1] - 1, second[k - 1], third[k - 1])
+    return wp.normalize(place_on(mesh, met[k] - 1, second[k], third[k]) - before)
+
+
+@wp.func
+def smooth_normal(smooth: SmoothFaces, face: int, b1: float, b2: float) -> wp.vec3:
+    n0 = smooth.normals[face, 0]
+    mean = n0 + wp.float64(b1) * (smooth.normals[face, 1] - n0) + wp.float64(b2) * (smooth.normals[face, 2] - n0)
+    return wp.vec3(wp.normalize(mean))
+
+
 @wp.kernel(enable_backward=False)
 def path_geometry_kernel(
     # In:
     grid: RayGrid,
     mesh: Triangles,
+    smooth: SmoothFaces,
     paths: PathRecords,
     bounces: int,
     # Out:
@@ -608,8 +674,16 @@ def path_geometry_kernel(
     direction = look_direction(grid, place_on(mesh, met[0] - 1, second[0], third[0]))
     angles_out.arrival[i] = direction
     cosines = along_way(1.0)
+    spread = spread_over(smooth.turn, met, bounces)
     for k in range(bounces):
         normal = normal_of(mesh, met[k] - 1)
+        if spread:
+            if k > 0:
+                direction = arrival_at(mesh, paths, i, k)
+            if k < bounces - 1:
+                normal = wp.normalize(arrival_at(mesh, paths, i, k + 1) - direction)
+            else:
+                normal = smooth_normal(smooth, met[k] - 1, second[k], third[k])
         slope = wp.dot(normal, direction)
         cosines[k] = wp.min(wp.abs(slope), 1.0)
         if k == bounces - 1:
@@ -627,8 +701,10 @@ def path_geometry_kernel(
 def bounce_kernel(
     # In:
     mesh: Triangles,
+    smooth: SmoothFaces,
     paths: PathRecords,
     angles: PathAngles,
+    bounces: int,
     k: int,
     # Out:
     bounce_out: Bounce,
@@ -647,6 +723,13 @@ def bounce_kernel(
     for before in range(k):
         mirror = normal_of(mesh, paths.faces[i][before] - 1)
         direction = direction - 2.0 * wp.dot(mirror, direction) * mirror
+    if spread_over(smooth.turn, paths.faces[i], bounces):
+        if k > 0:
+            direction = arrival_at(mesh, paths, i, k)
+        if k < bounces - 1:
+            normal = wp.normalize(arrival_at(mesh, paths, i, k + 1) - direction)
+        else:
+            normal = smooth_normal(smooth, face, b1, b2)
     if wp.dot(normal, direction) > 0.0:
         normal = -normal
     bounce_out.direction[i] = direction

@@ -11,7 +11,7 @@ import warp as wp
 
 from warpsar.kernels.coherent.numbers import product, sinc, turned
 from warpsar.kernels.coherent.radiate import FOUR_PI
-from warpsar.kernels.effects.multibounce import PathRecords
+from warpsar.kernels.effects.multibounce import PathRecords, faces_met, spread_over
 from warpsar.kernels.geometry import RayGrid, Triangles
 
 HALF = wp.constant(wp.float64(0.5))
@@ -31,9 +31,6 @@ EVEN = wp.constant(32)
 LONG = wp.constant(wp.float64(0.3))
 """Cells that a tube may have along a side, and more than it has across the line of sight by 16 rays per cell: beyond it
 the response along a tube is told by its ends."""
-
-ALIKE = wp.constant(0.25)
-"""Ratio of the areas of two pieces of curved surfaces down to which neither is the better mirror."""
 
 WHOLE = wp.constant(1.0)
 FADED = wp.constant(4.0)
@@ -211,19 +208,99 @@ def evenness(cells: ResolutionCells, place: wp.vec2d, side: wp.vec2d, middle: wp
 
 
 @wp.func
-def ways_of(first: float, last: float) -> wp.float64:
-    """How many of both ways over surfaces count that begin and end on pieces of these areas: 1, or 0 and 2.
+def ways_of(turn: wp.array(dtype=float), met: faces_met, bounces: int) -> wp.float64:
+    """How many of both ways over surfaces count: 1, or 0 and 2. `turn`: of each face, as `PathRays` has it.
 
     A tube that a flat piece of a curved surface mirrors stays as narrow as the piece, where the surface would spread
-    it: its currents on the next surface have gaps, and their field is too weak. The way back, which ends on the small
-    piece, has no gaps. Both have one field by reciprocity, so it counts for both.
+    it: its currents on the next surface have gaps, and their field is too weak. The way back, which ends on the curved
+    surface, has no gaps. Both have one field by reciprocity, so it counts for both. Ways over more than one curved
+    surface, and with one in the middle, are left to tubes that are spread (`multibounce_spread.py`): 0.
     """
-    ways = wp.float64(1.0)
-    if first < ALIKE * last:
-        ways = ZERO
-    if last < ALIKE * first:
-        ways = TWO
-    return ways
+    ways = float(1.0)
+    if spread_over(turn, met, bounces) or turn[met[0] - 1] > 0.0:
+        ways = 0.0
+    elif turn[met[bounces - 1] - 1] > 0.0:
+        ways = 2.0
+    return wp.float64(ways)
+
+
+@wp.struct
+class TubeEnd:
+    """A tube on its last surface: half its way there and back, and the mean azimuth of both ends [m]; by how much half
+    of the way changes with the place there, `turn`; its sides there, and where it enters [m]. `ends`: as in
+    `PathRecords`; `ahead` [rad]: of the phase, by caustics; `size` [m]: what the field would be if it had one phase."""
+
+    along: wp.float64
+    azimuth: wp.float64
+    turn: wp.vec3d
+    foot_u: wp.vec3d
+    foot_v: wp.vec3d
+    enters_u: wp.vec3d
+    enters_v: wp.vec3d
+    ends: wp.vec3
+    ahead: wp.float64
+    size: wp.float64
+
+
+@wp.func
+def keep_tube(tubes: TubeFields, i: int, cells: ResolutionCells, u: wp.vec3d, wavenumber: wp.float64, tube: TubeEnd):
+    """Write the field of a tube."""
+    turn_u = wavenumber * wp.dot(tube.turn, tube.foot_u)
+    turn_v = wavenumber * wp.dot(tube.turn, tube.foot_v)
+    place = wp.vec2d(tube.along / cells.size[0], tube.azimuth / cells.size[1])
+    phase = turned(tube.ahead - TWO * wavenumber * tube.along)
+    at = wp.vec2d(turn_u, turn_v)
+    if tube.ends[0] > 0.5:
+        at = wp.vec2d(turn_v, turn_u)
+    begin = wp.float64(tube.ends[1])
+    end = wp.float64(tube.ends[2])
+    whole = slanted(at[0], at[1], begin, end)
+    by_along = wp.vec2d(ZERO, tilted(at[0]) * sinc(at[1]))
+    by_across = wp.vec2d(ZERO, sinc(at[0]) * tilted(at[1]))
+    twice_along = wp.vec2d(curved(at[0]) * sinc(at[1]), ZERO)
+    twice_across = wp.vec2d(sinc(at[0]) * curved(at[1]), ZERO)
+    if begin != ZERO or end != ZERO:  # moments are slopes and curvatures of the field
+        less = slanted(at[0] - STEP, at[1], begin, end)
+        more = slanted(at[0] + STEP, at[1], begin, end)
+        by_along = moment_of(less, more)
+        twice_along = second_of(less, whole, more)
+        less = slanted(at[0], at[1] - STEP, begin, end)
+        more = slanted(at[0], at[1] + STEP, begin, end)
+        by_across = moment_of(less, more)
+        twice_across = second_of(less, whole, more)
+    by_u = by_along
+    by_v = by_across
+    by_uu = twice_along
+    by_vv = twice_across
+    if tube.ends[0] > 0.5:
+        by_u = by_across
+        by_v = by_along
+        by_uu = twice_across
+        by_vv = twice_along
+    phase = tube.size * phase
+    moved_u = wp.vec2d(
+        -wp.dot(tube.turn, tube.foot_u) / cells.size[0], HALF * wp.dot(u, tube.enters_u + tube.foot_u) / cells.size[1]
+    )
+    moved_v = wp.vec2d(
+        -wp.dot(tube.turn, tube.foot_v) / cells.size[0], HALF * wp.dot(u, tube.enters_v + tube.foot_v) / cells.size[1]
+    )
+    # the factor changes over the tube, and moments of the third and fourth order are a quarter of those of the first
+    # and second where phases turn fast, as they come from the ends
+    even = evened(cells, place)
+    even_u = evenness(cells, place, moved_u, even)
+    even_v = evenness(cells, place, moved_v, even)
+    quarter = wp.float64(0.25)
+    tubes.place[i] = place
+    tubes.side_u[i] = moved_u
+    tubes.side_v[i] = moved_v
+    tubes.size[i] = even * tube.size
+    tubes.field[i] = product(
+        even * whole + even_u[0] * by_u + even_u[1] * by_uu + even_v[0] * by_v + even_v[1] * by_vv, phase
+    )
+    tubes.by_u[i] = product((even + quarter * even_u[1]) * by_u + even_u[0] * by_uu, phase)
+    tubes.by_v[i] = product((even + quarter * even_v[1]) * by_v + even_v[0] * by_vv, phase)
+    tubes.by_uu[i] = product((even + quarter * even_u[1]) * by_uu + quarter * even_u[0] * by_u, phase)
+    tubes.by_vv[i] = product((even + quarter * even_v[1]) * by_vv + quarter * even_v[0] * by_v, phase)
 
 
 @wp.kernel(enable_backward=False)
@@ -234,13 +311,13 @@ def tube_kernel(
     records: PathRecords,
     cells: ResolutionCells,
     wavenumber: wp.float64,
-    piece: wp.array(dtype=float),
+    turn: wp.array(dtype=float),
     # Out:
     tubes_out: TubeFields,
 ):
     """Follow each tube once more along the planes of its faces, in double precision: its phase needs it.
 
-    The shares of a field in the samples that are kept have the squares' sum 1 (`ResolutionCells.even`). `piece`: of
+    The shares of a field in the samples that are kept have the squares' sum 1 (`ResolutionCells.even`). `turn`: of
     each face, as `PathRays` has it, for `ways_of`.
     """
     i = wp.tid()
@@ -304,62 +381,17 @@ def tube_kernel(
         side_u = side_u - TWO * wp.dot(normal, side_u) * normal
         side_v = side_v - TWO * wp.dot(normal, side_v) * normal
     last = sight_of(point, d, v, slant_range)
-    along = HALF * (way + last.distance)
-    azimuth = HALF * wp.dot(u, entry + point)
-    turn = -HALF * (last.direction + arrival)  # (s - d) / 2
-    turn_u = wavenumber * wp.dot(turn, foot_u)
-    turn_v = wavenumber * wp.dot(turn, foot_v)
-    place = wp.vec2d(along / cells.size[0], azimuth / cells.size[1])
-    size = wavenumber / FOUR_PI * area * ways_of(piece[met[0] - 1], piece[met[bounces - 1] - 1])
-    phase = turned(-TWO * wavenumber * along)
-    at = wp.vec2d(turn_u, turn_v)
-    if records.ends[i][0] > 0.5:
-        at = wp.vec2d(turn_v, turn_u)
-    begin = wp.float64(records.ends[i][1])
-    end = wp.float64(records.ends[i][2])
-    whole = slanted(at[0], at[1], begin, end)
-    by_along = wp.vec2d(ZERO, tilted(at[0]) * sinc(at[1]))
-    by_across = wp.vec2d(ZERO, sinc(at[0]) * tilted(at[1]))
-    twice_along = wp.vec2d(curved(at[0]) * sinc(at[1]), ZERO)
-    twice_across = wp.vec2d(sinc(at[0]) * curved(at[1]), ZERO)
-    if begin != ZERO or end != ZERO:  # moments are slopes and curvatures of the field
-        less = slanted(at[0] - STEP, at[1], begin, end)
-        more = slanted(at[0] + STEP, at[1], begin, end)
-        by_along = moment_of(less, more)
-        twice_along = second_of(less, whole, more)
-        less = slanted(at[0], at[1] - STEP, begin, end)
-        more = slanted(at[0], at[1] + STEP, begin, end)
-        by_across = moment_of(less, more)
-        twice_across = second_of(less, whole, more)
-    by_u = by_along
-    by_v = by_across
-    by_uu = twice_along
-    by_vv = twice_across
-    if records.ends[i][0] > 0.5:
-        by_u = by_across
-        by_v = by_along
-        by_uu = twice_across
-        by_vv = twice_along
-    phase = size * phase
-    moved_u = wp.vec2d(-wp.dot(turn, foot_u) / cells.size[0], HALF * wp.dot(u, enters_u + foot_u) / cells.size[1])
-    moved_v = wp.vec2d(-wp.dot(turn, foot_v) / cells.size[0], HALF * wp.dot(u, enters_v + foot_v) / cells.size[1])
-    # the factor changes over the tube, and moments of the third and fourth order are a quarter of those of the first
-    # and second where phases turn fast, as they come from the ends
-    even = evened(cells, place)
-    even_u = evenness(cells, place, moved_u, even)
-    even_v = evenness(cells, place, moved_v, even)
-    quarter = wp.float64(0.25)
-    tubes_out.place[i] = place
-    tubes_out.side_u[i] = moved_u
-    tubes_out.side_v[i] = moved_v
-    tubes_out.size[i] = even * size
-    tubes_out.field[i] = product(
-        even * whole + even_u[0] * by_u + even_u[1] * by_uu + even_v[0] * by_v + even_v[1] * by_vv, phase
-    )
-    tubes_out.by_u[i] = product((even + quarter * even_u[1]) * by_u + even_u[0] * by_uu, phase)
-    tubes_out.by_v[i] = product((even + quarter * even_v[1]) * by_v + even_v[0] * by_vv, phase)
-    tubes_out.by_uu[i] = product((even + quarter * even_u[1]) * by_uu + quarter * even_u[0] * by_u, phase)
-    tubes_out.by_vv[i] = product((even + quarter * even_v[1]) * by_vv + quarter * even_v[0] * by_v, phase)
+    end = TubeEnd()
+    end.along = HALF * (way + last.distance)
+    end.azimuth = HALF * wp.dot(u, entry + point)
+    end.turn = -HALF * (last.direction + arrival)  # (s - d) / 2
+    end.foot_u = foot_u
+    end.foot_v = foot_v
+    end.enters_u = enters_u
+    end.enters_v = enters_v
+    end.ends = records.ends[i]
+    end.size = wavenumber / FOUR_PI * area * ways_of(turn, met, bounces)
+    keep_tube(tubes_out, i, cells, u, wavenumber, end)
 
 
 @wp.struct

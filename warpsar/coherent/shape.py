@@ -11,6 +11,7 @@ from scipy.sparse.csgraph import connected_components
 
 from warpsar.coherent.joints import Joints, joints, welded
 from warpsar.world.mesh import SMOOTH_DEG
+from warpsar.world.smooth import corner_normals
 
 FLAT = 1e-5
 """A surface is flat whose vertices lie in a plane to this share of the body's size."""
@@ -205,10 +206,7 @@ def _smooth_normals(
     normal: NDArray[np.float64],
     curved: NDArray[np.bool_],
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Normals of the corners, (m, 3, 3), and which corners share one, (m, 3).
-
-    Weights of Max (J. Graphics Tools 4(2), 1999): exact on a sphere.
-    """
+    """Normals of the corners, (m, 3, 3), and which corners share one, (m, 3)."""
     normals = np.repeat(normal[:, None], 3, axis=1)
     fan = np.full(faces.shape, -1, np.int64)
     some = np.flatnonzero(curved)
@@ -218,15 +216,7 @@ def _smooth_normals(
     points = vertices[faces[some]]
     key = corners.astype(np.int64) * (int(surface.max()) + 1) + surface[some][:, None]
     place = np.unique(key, return_inverse=True)[1].reshape(key.shape)
-    total = np.zeros((int(place.max()) + 1, 3))
-    for i in range(3):
-        e1 = points[:, (i + 1) % 3] - points[:, i]
-        e2 = points[:, (i + 2) % 3] - points[:, i]
-        weight = np.cross(e1, e2) / ((e1**2).sum(1) * (e2**2).sum(1))[:, None]
-        for axis in range(3):
-            total[:, axis] += np.bincount(place[:, i], weight[:, axis], len(total))
-    total /= np.linalg.norm(total, axis=1)[:, None]
-    normals[some] = total[place]
+    normals[some] = corner_normals(points, place)
     fan[some] = place
     return normals, fan
 

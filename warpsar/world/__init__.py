@@ -4,6 +4,7 @@ world: all data of a scene. tables: the tables of a scene file. mesh: triangles,
 for each mesh format. mesh_arrays: are these arrays a mesh? upright: Y up
 or Z up. obj: a mesh written. models: what a backscatter model takes. sigma0_table, scattering_term: files that a
 material names. curve: `[[curves]]`. pixels: an image in memory. problems: what is wrong with a table, in words.
+smooth: normals of smooth surfaces.
 frame: the axes of a view. earth: the world on the ellipsoid. site: the reference point there. track: where a sensor is.
 objects/: bodies that a scene places. sound_objects: those that cannot be meant. library/: surfaces by name.
 sensors: public civil sensors, for first scenes. taper: windows over a band or an aperture.

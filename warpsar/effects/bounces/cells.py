@@ -184,25 +184,24 @@ def cells_of(grid: BinGrid, cell_m: tuple[float, float], tapers: tuple[str, str]
     )
 
 
+def tubes_of(
+    rays: RayGrid, mesh: Triangles, records: Any, count: int, cells: Any, wavenumber: float, turn: wp.array
+) -> Any:
+    """`kernels.TubeFields` of `count` records; `turn` of each face, as `PathRays` has it."""
+    device = records.bin.device
+    tubes = allocate(kernels.TubeFields, count, device)
+    inputs = [rays, mesh, records, cells, wavenumber, turn]
+    wp.launch(kernels.tube_kernel, count, inputs=inputs, outputs=[tubes], device=device)
+    return tubes
+
+
 def couple(
-    rays: RayGrid,
-    mesh: Triangles,
-    records: Any,
-    order: wp.array,
-    first: wp.array,
-    merged: Any,
-    cells: Any,
-    wavenumber: float,
-    piece: wp.array,
-    loosely: bool,
+    tubes: Any, order: wp.array, first: wp.array, merged: Any, cells: Any, loosely: bool
 ) -> dict[str, NDArray[Any]]:
     """`field`, `moment`, `even` and `loose` of `Coupled`, by group and sample: groups are those of `order` from each
-    `first` on. `loose` is 0 if it is not asked for. `piece`: areas of pieces by face (`pieces_of`).
+    `first` on. `loose` is 0 if it is not asked for.
     """
-    device, count = order.device, order.shape[0]
-    tubes = allocate(kernels.TubeFields, count, device)
-    inputs = [rays, mesh, records, cells, wavenumber, piece]
-    wp.launch(kernels.tube_kernel, count, inputs=inputs, outputs=[tubes], device=device)
+    device = order.device
     shape = first.shape[0], cells.offset.shape[0]
     fields: list[wp.array] = [wp.zeros(shape, dtype=wp.vec2d, device=device) for _ in range(3)]
     even: wp.array = wp.zeros(shape, dtype=wp.float64, device=device)

@@ -11,6 +11,13 @@ from scipy.sparse.csgraph import connected_components
 
 from warpsar.effects.bounces.cells import bodies_of
 from warpsar.world.mesh import SMOOTH_DEG
+from warpsar.world.smooth import corner_normals
+
+_FLAT = 1e-3
+"""Radians between the normals of a face and of its smooth surface, up to which the face is flat: `kinds_of` tells no
+less apart."""
+_LOST = 0.5
+"""Cosine of that angle, below which faces are wound both ways round: their smooth surface is not known."""
 
 
 @dataclass(frozen=True)
@@ -21,12 +28,6 @@ class FlatPieces:
     of: NDArray[np.int64]
     area: NDArray[np.float64]
     joined: NDArray[np.int64]
-
-    def mirrors(self) -> NDArray[np.float32]:
-        """Of each face, the area of its piece [m2]; infinite where it is none of a curved surface."""
-        curved = np.zeros(self.area.size, bool)
-        curved[self.joined] = True
-        return np.where(curved, self.area, np.inf)[self.of].astype(np.float32)
 
     def surfaces(self, planes: NDArray[np.int64], least_m2: float) -> NDArray[np.int64]:
         """The `planes` of faces, by number, where pieces of a curved surface that are smaller have one number: it is
@@ -58,6 +59,51 @@ def pieces_of(vertices: NDArray[np.float64], corners: NDArray[np.integer], plane
         into.append(_unit(away - (away * along).sum(axis=1, keepdims=True) * along))
     smooth = both[(into[0] * into[1]).sum(axis=1) < -np.cos(np.deg2rad(SMOOTH_DEG))]
     return FlatPieces(of, area, np.stack([of[face[smooth]], of[face[smooth + 1]]], axis=1))
+
+
+@dataclass(frozen=True)
+class CurvedFaces:
+    """Faces on smooth surfaces: `normals` of their corners, (m, 3, 3). `turn` (m,): by how much the normal turns on a
+    face [rad/m], at most; 0 on flat ones alone. `bend` (m,): how far the corners' are from the face's own [rad], at
+    most. Faces that are wound both ways round are curved by about 0."""
+
+    normals: NDArray[np.float64]
+    turn: NDArray[np.float32]
+    bend: NDArray[np.float32]
+
+
+def curved_faces(vertices: NDArray[np.float64], corners: NDArray[np.integer], pieces: FlatPieces) -> CurvedFaces:
+    """Of the faces of pieces that join others; arguments as `pieces_of` has them."""
+    points = vertices[corners]
+    e1, e2 = points[:, 1] - points[:, 0], points[:, 2] - points[:, 0]
+    flat = _unit(np.cross(e1, e2))
+    normals = np.repeat(flat[:, None], 3, axis=1)
+    turn, bend = (np.zeros(len(corners), np.float32) for _ in range(2))
+    joins = np.zeros(pieces.area.size, bool)
+    joins[pieces.joined] = True
+    some = np.flatnonzero(joins[pieces.of])
+    if not some.size:
+        return CurvedFaces(normals, turn, bend)
+    links = coo_array((np.ones(len(pieces.joined), bool), pieces.joined.T), shape=(pieces.area.size,) * 2)
+    surface = connected_components(links, directed=False)[1][pieces.of]
+    key = np.asarray(corners, np.int64)[some] * (int(surface.max()) + 1) + surface[some][:, None]
+    place = np.unique(key, return_inverse=True)[1].reshape(key.shape)
+    normals[some] = corner_normals(points[some], place)
+    cosine = (normals * flat[:, None]).sum(axis=2).min(axis=1)
+    angle = np.linalg.norm(normals - flat[:, None], axis=2).max(axis=1)
+    lost = cosine <= _LOST
+    angle[lost] = 0.0
+    curved = lost | (angle > _FLAT)
+    alone = lost | ~curved
+    normals[alone] = flat[alone][:, None]
+    g11, g12, g22 = ((a * b).sum(axis=1) for a, b in ((e1, e1), (e1, e2), (e2, e2)))
+    det = np.maximum(g11 * g22 - g12**2, np.finfo(float).tiny)[:, None]
+    r1, r2 = (g22[:, None] * e1 - g12[:, None] * e2) / det, (g11[:, None] * e2 - g12[:, None] * e1) / det
+    change = [normals[:, k] - normals[:, 0] for k in (1, 2)]
+    slopes = r1[:, :, None] * change[0][:, None] + r2[:, :, None] * change[1][:, None]
+    found = np.linalg.norm(slopes[curved], ord=2, axis=(1, 2))
+    turn[curved], bend[curved] = np.maximum(found, np.finfo(np.float32).tiny), angle[curved]
+    return CurvedFaces(normals, turn, bend)
 
 
 def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -30,10 +30,12 @@ from warpsar.effects.bounces.cells import (
     kinds_of,
     samples_of,
     share,
+    tubes_of,
 )
-from warpsar.effects.bounces.curved import FlatPieces, pieces_of
+from warpsar.effects.bounces.curved import CurvedFaces, curved_faces, pieces_of
 from warpsar.kernels import merge as merging
 from warpsar.kernels.effects import multibounce as kernels
+from warpsar.kernels.effects import multibounce_cells, multibounce_spread
 from warpsar.kernels.geometry import Band, RayGrid
 from warpsar.runtime import devices, threads
 from warpsar.runtime.structs import allocate, element_types, fill
@@ -53,7 +55,15 @@ _LEAST_BUDGET = 3_000_000  # rays that it may add to a small view
 _FINE = 4.0  # ray cells, below which pieces of a curved surface have no borders: a strip would be cut at many
 _STRIPS, _RAYS_OF_STRIP = 4, 90  # into which a cell at a border is cut, and rays that find where one lies and ends
 
-_ARRAYS = {n: dtype for n, dtype in element_types(kernels.PathRecords).items() if n not in ("count", "area")}
+_SPREAD_TASKS = 16  # at most, that tubes of one size are shared out among
+_LEAST_TASK = 4096  # tubes
+
+_MORE_TUBES = (
+    "multibounce: ways over several curved surfaces need more tubes than the view may have, and lack power; "
+    "give the view fewer curved bodies, or leave them flat faces"
+)
+
+_ARRAYS = {n: dtype for n, dtype in element_types(kernels.PathRecords).items() if n not in ("count", "area", "wide")}
 
 
 @dataclass
@@ -123,23 +133,31 @@ def trace_paths(render: Recorder, max_bounces: int, cell_m: tuple[float, float] 
         area = render.spacing_m[0] * render.spacing_m[1]
         (kinds, planes), mirrors = _kinds(render), _mirrors(render)
         bodies = bodies_of(target.corner_numbers, planes)
-        for traced, fields in zip(found, followed.shared, strict=True):
-            if traced is not None and fields is not None:
+        for at, fields in enumerate(followed.shared):
+            if fields is not None:
                 made, samples = samples_of(fields, kinds, bodies, mirrors, hits.grid.shape[1], area, device)
                 own: dict[str, Any] = {
                     name: wp.array(made[name], dtype=dtype, device=device) for name, dtype in _ARRAYS.items()
                 }
                 paths = fill(kernels.PathRecords, **own)
-                bounces = len(traced.paths.bounces)
-                traced.coherent = CoherentPaths(_paths(paths, bounces, followed.rays, target), samples)
+                coherent = CoherentPaths(_paths(paths, at + 2, followed.rays, target, followed.smooth), samples)
+                plain = followed.paths[at]
+                if plain is None:  # no ray over flat faces returns: one that scatters nothing
+                    own["weight"].zero_()
+                    plain = _paths(
+                        fill(kernels.PathRecords, **{n: a[:1] for n, a in own.items()}), at + 2, followed.rays, target
+                    )
+                found[at] = BouncesOfOneNumber(plain, coherent)
     return TracedPaths(found, followed.further, list(followed.remarks), followed.without_cells)
 
 
 @dataclass(frozen=True)
 class _Followed:
-    """What rays have met: the `paths` of 2, 3, ... bounces, and their fields by sample where these were asked for."""
+    """What rays have met: the `paths` of 2, 3, ... bounces, and their fields by sample where these were asked for.
+    `smooth`: a `kernels.SmoothFaces`."""
 
     rays: RayGrid
+    smooth: Any
     paths: list[BouncePaths | None]
     shared: list[SharedFields | None]
     further: float
@@ -209,9 +227,12 @@ def _followed(render: Recorder, max_bounces: int, cell_m: tuple[float, float] | 
         for begin in range(first, last, width)
     ]
     pieces = pieces_of(*target.places_once, planes := planes_of(target))
+    curved = curved_faces(*target.places_once, pieces)
     planes = pieces.surfaces(planes, _FINE / hits.rays_per_m2)
-    sent = _path_rays(render, rays, planes, pieces, max_bounces)
-    tasks = [partial(_band, render, sent, cells, band) for band in bands]
+    sent = _path_rays(render, rays, planes, curved, max_bounces)
+    size = (last - first, rays.elevation_cells) if cells is not None and curved.turn.any() else (0, 0)
+    spread_from: wp.array = wp.zeros(size, dtype=wp.uint8, device=target.device)
+    tasks = [partial(_band, render, sent, cells, band, spread_from) for band in bands]
     traced_bands = list(threads.ordered(tasks, target.device))
     plain = [_Traced([one and _Merged(one.records, None) for one in band.of], band.area) for band in traced_bands]
     shared: list[SharedFields | None] = [None] * (max_bounces - 1)
@@ -220,10 +241,24 @@ def _followed(render: Recorder, max_bounces: int, cell_m: tuple[float, float] | 
         shared = _shared(traced_bands, max_bounces, grid, cell_m)
         cuts, error = ({}, 0.0) if hits.coarse else _cuts(shared, planes, sent, bands, target.device)
         if cuts:
-            again = [partial(_band, render, sent, cells, bands[at], cut) for at, cut in cuts.items()]
+            none: wp.array = wp.empty((0, 0), dtype=wp.uint8, device=target.device)
+            again = [partial(_band, render, sent, cells, bands[at], none, cut) for at, cut in cuts.items()]
             finer = dict(zip(cuts, threads.ordered(again, target.device), strict=True))
             traced_bands = [finer.get(at, one) for at, one in enumerate(traced_bands)]
             shared = _shared(traced_bands, max_bounces, grid, cell_m)
+    remarks = _remarks(error)
+    smooth = fill(kernels.SmoothFaces, turn=wp.empty(0, dtype=float, device=target.device))
+    if cell_m is not None and spread_from.shape[0] > 0:
+        smooth = fill(
+            kernels.SmoothFaces,
+            turn=sent.turn,
+            normals=wp.array(curved.normals, dtype=wp.vec3d, device=target.device),
+        )
+        spread, all_sent = _spread(render, sent, cells, smooth, spread_from.numpy())
+        if any(one is not None for band in spread for one in band.of):
+            shared = _shared([*traced_bands, *spread], max_bounces, grid, cell_m)
+        if not all_sent:
+            remarks.append(_MORE_TUBES)
 
     def without_cells() -> TracedPaths:
         paths = _joined(plain, max_bounces, rays, target)
@@ -231,7 +266,7 @@ def _followed(render: Recorder, max_bounces: int, cell_m: tuple[float, float] | 
         return TracedPaths(found, _further(plain), [], without_cells)
 
     paths, further = _joined(traced_bands, max_bounces, rays, target), _further(traced_bands)
-    return _Followed(rays, paths, shared, further, _remarks(error), without_cells)
+    return _Followed(rays, smooth, paths, shared, further, remarks, without_cells)
 
 
 def _joined(traced: Sequence[_Traced], max_bounces: int, rays: RayGrid, target: Target) -> list[BouncePaths | None]:
@@ -439,7 +474,9 @@ class _Traced:
     area: NDArray[np.float32]
 
 
-def _path_rays(render: Recorder, rays: RayGrid, planes: NDArray[np.int64], pieces: FlatPieces, max_bounces: int) -> Any:
+def _path_rays(
+    render: Recorder, rays: RayGrid, planes: NDArray[np.int64], curved: CurvedFaces, max_bounces: int
+) -> Any:
     """`kernels.PathRays` of a view. `planes` numbers what borders lie between."""
     target, grid = render.stage.target, render.hits.grid
     return fill(
@@ -449,14 +486,18 @@ def _path_rays(render: Recorder, rays: RayGrid, planes: NDArray[np.int64], piece
         columns=fill(kernels.ImageColumns, start=grid.start_m[1], spacing=grid.spacing_m[1], count=grid.shape[1]),
         tree=target.bvh.id,
         plane=wp.array(planes, dtype=int, device=target.device),
-        piece=wp.array(pieces.mirrors(), dtype=float, device=target.device),
+        turn=wp.array(curved.turn, dtype=float, device=target.device),
+        bend=wp.array(curved.bend, dtype=float, device=target.device),
         max_bounces=max_bounces,
         size=float(np.linalg.norm(np.ptp(target.corners, axis=0))),
     )
 
 
-def _band(render: Recorder, followed: Any, cells: Any, band: Any, cut: NDArray[np.int32] | None = None) -> _Traced:
-    """Paths of a band of azimuth cells, merged, by number of bounces. `cut`: cells of `border_kernel`, (n, 4)."""
+def _band(
+    render: Recorder, followed: Any, cells: Any, band: Any, wide: wp.array, cut: NDArray[np.int32] | None = None
+) -> _Traced:
+    """Paths of a band of azimuth cells, merged, by number of bounces. `wide`: as in `PathRecords`. `cut`: cells of
+    `border_kernel`, (n, 4)."""
     device, rays, max_bounces = render.stage.target.device, followed.grid, followed.max_bounces
     segment = rays.elevation_cells if device.is_cpu else _SEGMENT
     dim = (band.end_cell - band.first_cell, -(-rays.elevation_cells // segment))
@@ -469,7 +510,7 @@ def _band(render: Recorder, followed: Any, cells: Any, band: Any, cut: NDArray[n
     # a ray may return from each of its bounces but the first; on the CPU, room that nothing is written to is free
     capacity = (max_bounces - 1) * sent if device.is_cpu else max(4096, sent // 4)
     while True:
-        records = _records(capacity, device)
+        records = _records(capacity, device, wide)
         wp.launch(
             kernels.path_kernel, dim, inputs=[followed, band, left_out, segment], outputs=[records], device=device
         )
@@ -481,7 +522,7 @@ def _band(render: Recorder, followed: Any, cells: Any, band: Any, cut: NDArray[n
             )
         count = int(records.count.numpy()[0])
         if count <= capacity:
-            couples = partial(_coupled, render, followed, cells, cut is None)
+            couples = partial(_coupled, render, followed, cells, cut is None, None)
             of: list[_Merged | None] = [None] * (max_bounces - 1)
             if count:
                 of = _merge(records, count, max_bounces, couples)
@@ -489,11 +530,91 @@ def _band(render: Recorder, followed: Any, cells: Any, band: Any, cut: NDArray[n
         capacity = count
 
 
-def _records(capacity: int, device: wp.Device) -> kernels.PathRecords:
+def _spread(
+    render: Recorder, followed: Any, cells: Any, smooth: Any, wide: NDArray[np.uint8]
+) -> tuple[list[_Traced], bool]:
+    """What returns over several curved surfaces, or over one in the middle, by tubes that are halved until they are
+    narrow enough; and whether there were enough of them. `wide`: ray cells, (azimuth, elevation), to begin with; those
+    beside them are looked at, too."""
+    device, target = render.stage.target.device, render.stage.target
+    devices.load_kernels(device, "effects.multibounce_spread")
+    sent = fill(
+        multibounce_spread.SpreadRays,
+        rays=followed,
+        vertices=target.places,
+        normals=smooth.normals,
+        cells=cells,
+        wavenumber=render.hits.geometry.wavenumber,
+    )
+    about = np.pad(wide > 0, 1)
+    for axis in (0, 1):
+        about = about | np.roll(about, 1, axis) | np.roll(about, -1, axis)
+    cell = np.argwhere(about[1:-1, 1:-1])
+    place = cell + np.array([followed.grid.first_cell + 0.5, 0.5])
+    parts = np.ones(cell.shape, np.int32)
+    left = max(_BUDGET * wide.size, _LEAST_BUDGET)
+    found: list[_Traced] = []
+
+    while len(place):
+        left -= len(place)
+        if left < 0:
+            return found, False
+        count = max(1, min(_SPREAD_TASKS, len(place) // _LEAST_TASK))
+        some = zip(np.array_split(place, count), np.array_split(parts, count), strict=True)
+        tasks = [partial(_sent_on, render, sent, cells, *one) for one in some]
+        made = list(threads.ordered(tasks, device))
+        found += [traced for traced, _ in made if traced is not None]
+        place, parts = _halved(place, parts, np.concatenate([split for _, split in made]))
+    return found, True
+
+
+def _sent_on(
+    render: Recorder, sent: Any, cells: Any, place: NDArray[np.float64], parts: NDArray[np.int32]
+) -> tuple[_Traced | None, NDArray[np.int32]]:
+    """Returns of tubes, merged, None if there are none; and the sides along which the others are to be halved."""
+    device, max_bounces, n = render.stage.target.device, sent.rays.max_bounces, len(place)
+    inputs = [sent, wp.array(place, dtype=wp.vec2d, device=device), wp.array(parts, dtype=wp.vec2i, device=device)]
+    split: wp.array = wp.empty(n, dtype=int, device=device)
+    capacity = max(4096, n // 4)
+    while True:
+        records = _records(capacity, device)
+        tubes = allocate(multibounce_cells.TubeFields, capacity, device)
+        wp.launch(multibounce_spread.spread_kernel, n, inputs=inputs, outputs=[split, records, tubes], device=device)
+        count = int(records.count.numpy()[0])
+        if count <= capacity:
+            break
+        capacity = count
+    if count == 0:
+        return None, split.numpy()
+    couples = partial(_coupled, render, sent.rays, cells, False, tubes)
+    return _Traced(_merge(records, count, max_bounces, couples), np.zeros(2, np.float32)), split.numpy()
+
+
+def _halved(
+    place: NDArray[np.float64], parts: NDArray[np.int32], split: NDArray[np.int32]
+) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """The halves of tubes along the sides that each one's `split` says: their places [cells] and parts of a cell."""
+    place, parts, split = place[split > 0], parts[split > 0], split[split > 0]
+    for axis, side in ((0, multibounce_spread.U_SIDE), (1, multibounce_spread.V_SIDE)):
+        mine = (split & int(side)) > 0
+        more, finer = place[mine], parts[mine]
+        finer[:, axis] *= 2
+        away = np.zeros_like(more)
+        away[:, axis] = 0.5 / finer[:, axis]
+        place = np.concatenate([place[~mine], more - away, more + away])
+        parts = np.concatenate([parts[~mine], finer, finer])
+        split = np.concatenate([split[~mine], split[mine], split[mine]])
+    return place, parts
+
+
+def _records(capacity: int, device: wp.Device, wide: wp.array | None = None) -> kernels.PathRecords:
     """Room for `capacity` records: a `kernels.PathRecords`."""
     count: wp.array = wp.zeros(1, dtype=int, device=device)
     area: wp.array = wp.zeros(2, dtype=float, device=device)
-    records: kernels.PathRecords = allocate(kernels.PathRecords, capacity, device, count=count, area=area)
+    none: wp.array = wp.empty((0, 0), dtype=wp.uint8, device=device)
+    records: kernels.PathRecords = allocate(
+        kernels.PathRecords, capacity, device, count=count, area=area, wide=none if wide is None else wide
+    )
     return records
 
 
@@ -502,16 +623,20 @@ def _coupled(
     followed: Any,
     cells: Any,
     loosely: bool,
+    tubes: Any,
     records: Any,
     order: wp.array,
     first: wp.array,
     merged: Any,
 ) -> Coupled | None:
-    """Fields of merged paths by sample, and the rays that they are of; None without cells."""
+    """Fields of merged paths by sample, and the rays that they are of; None without cells. `tubes`: the fields of the
+    records, if they are known."""
     if cells is None:
         return None
     rays, wavenumber = followed.grid, render.hits.geometry.wavenumber
-    fields = couple(rays, followed.mesh, records, order, first, merged, cells, wavenumber, followed.piece, loosely)
+    if tubes is None:
+        tubes = tubes_of(rays, followed.mesh, records, len(order), cells, wavenumber, followed.turn)
+    fields = couple(tubes, order, first, merged, cells, loosely)
     middle = records.ray.numpy()[order.numpy()][:, :2].astype(float)
     start, step = (rays.azimuth_start, rays.elevation_start), (rays.azimuth_step, rays.elevation_step)
     cell = np.floor((middle - start) / step).astype(np.int64)
@@ -558,16 +683,21 @@ def _merge(records: kernels.PathRecords, count: int, max_bounces: int, couples: 
     return [between(a, b) for a, b in pairwise(ends.tolist())]
 
 
-def _paths(paths: kernels.PathRecords, bounces: int, rays: RayGrid, target: Target) -> BouncePaths:
-    """Merged paths of one number of bounces, with the angles at their faces."""
+def _paths(paths: kernels.PathRecords, bounces: int, rays: RayGrid, target: Target, smooth: Any = None) -> BouncePaths:
+    """Merged paths of one number of bounces, with the angles at their faces; `smooth`: a `kernels.SmoothFaces` where
+    tubes were spread."""
     device, mesh, n = target.device, target.triangles, paths.bin.shape[0]
+    if smooth is None:
+        smooth = fill(kernels.SmoothFaces, turn=wp.empty(0, dtype=float, device=device))
     angles = allocate(kernels.PathAngles, n, device)
-    inputs = [rays, mesh, paths, bounces]
+    inputs = [rays, mesh, smooth, paths, bounces]
     wp.launch(kernels.path_geometry_kernel, n, inputs=inputs, outputs=[angles], device=device)
     each = []
     for k in range(bounces):
         one = allocate(kernels.Bounce, n, device)
-        wp.launch(kernels.bounce_kernel, n, inputs=[mesh, paths, angles, k], outputs=[one], device=device)
+        wp.launch(
+            kernels.bounce_kernel, n, inputs=[mesh, smooth, paths, angles, bounces, k], outputs=[one], device=device
+        )
         each.append(one)
     ends = angles.cos_half, angles.cos_tilt, angles.arrival, angles.home
     return BouncePaths(each, paths.bin, angles.weight, paths.point, *ends)
