@@ -113,10 +113,11 @@ def render_elsewhere(
     return render
 
 
-def exact_rays(scene: Scene, stage: Stage, *, coarse: bool) -> ExactRays:
-    """Images of exact areas. Paths over several surfaces have the scene's rays; for `coarse` images `FEW_RAYS` of them:
-    blurred images average over many pixels."""
-    density = scene.sampling.density_per_m2(scene.grid) * (FEW_RAYS if coarse else 1.0)
+def exact_rays(scene: Scene, stage: Stage, *, coarse: bool, all_rays: bool = False) -> ExactRays:
+    """Images of exact areas. Paths over several surfaces have the scene's rays; for `coarse` images `FEW_RAYS` of them,
+    unless `all_rays` are asked for, and no finer ones at the borders of corners: blurred images average over many
+    pixels."""
+    density = scene.sampling.density_per_m2(scene.grid) * (FEW_RAYS if coarse and not all_rays else 1.0)
     return ExactRays(stage, density, scene.sampling.seed, coarse=coarse)
 
 
@@ -182,8 +183,9 @@ class PosedProblem:
         hand, each field moves as a whole (`FieldLevels`). `level` [beta0]: how much of the floor was added to the
         measurement. `bound` is that of the loss, as in `FitProblem`. `forward`: changes by poses are forward
         differences, of half as many images, and paths over several surfaces have few rays (`exact_rays`), for a search
-        on blurred images that something finer follows. `rough`: so, and the changes are of single bounces alone, which
-        is enough to tell which pose is worth a fit. Paths would be traced for each.
+        on blurred images that something finer follows. `rough`: so, but the image itself has all its rays, and
+        the changes are of single bounces alone, which is enough to tell which pose is worth a fit. Few rays leave paths
+        that are off everywhere alike, and a body seems to move; and paths would be traced for each change.
 
         `standing`: labels of objects whose foot stays at its height, known to `STANDS_M`. Their height and that of the
         foot would trade otherwise: a body sunk into the ground looks like a lower one.
@@ -251,7 +253,7 @@ class PosedProblem:
 
     def _made(self, p: np.ndarray) -> FitProblem:
         scene = self.geometry.at(p)
-        rays = exact_rays(scene, Stage.of(scene, self.device), coarse=self.forward)
+        rays = exact_rays(scene, Stage.of(scene, self.device), coarse=self.forward, all_rays=self.rough)
         roles = ("train", "test")
         return FitProblem(
             scene,

@@ -402,8 +402,9 @@ def _beside_geometry(allowed: Sequence[Candidate], foretold: float, shifts: floa
     as a score is no gain and may be far below it, and those that shift images, if `shifts` may gain as much.
 
     Paths over several surfaces may be a thousand times the model's power. A score bounds what a pixel tells, so theirs
-    is the farthest below their gain, and what they put into an image looks like a body of another size. No score looks
-    at `shadows` that measure power: an effect that adds power may gain there what a body that is absent does.
+    is the farthest below their gain, and what they put into an image looks like a body of another size or place: they
+    are always fitted. No score looks at `shadows` that measure power: an effect that adds power may gain there what a
+    body that is absent does.
     """
     near = NEAR_BEST * max((c.minus_log_p for c in allowed), default=0.0)
     found = []
