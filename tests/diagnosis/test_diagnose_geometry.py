@@ -458,8 +458,9 @@ def test_a_quiet_turn_asks_for_what_speckle_hardly_foretells(
 
 def test_effects_far_below_what_geometry_is_foretold_wait() -> None:
     """Bounces are fitted whatever they score: a tenth of what a body is foretold beside them, in a shared case, and
-    less than half of what shifts score, in a scene where they gained seven times as much. A smear of a wrong spacing scores a fiftieth. Shifts are fitted if all images are foretold to gain by
-    them. Where shadows measure power, what adds power is fitted whatever it scores."""
+    less than half of what shifts score, in a scene where they gained seven times as much. A smear of a wrong spacing
+    scores a fiftieth. Shifts are fitted if all images are foretold to gain by them. Where shadows measure power, what
+    adds power is fitted whatever it scores."""
 
     def names(shifts: float, shadows: bool = False, **scores: float) -> list[str]:
         asked = [Candidate(name, "testable", statistic=one, minus_log_p=one / 2.0) for name, one in scores.items()]
