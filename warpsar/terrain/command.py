@@ -431,13 +431,12 @@ def write_report(
         differences += [report.paragraph(f"Asked: {', '.join(differs.asked)}.")]
     rows = [[one.name, one.unit, *(f"{value:.4g}" for value in one.percentiles), one.words] for one in said.layers]
     columns = ["layer", "unit", "5 %", "median", "95 %", "what it is"]
-    facts = [
-        (name.replace("_", " "), str(content[name]))
-        for name in (
-            *("platform", "polarization", "frequency_hz", "look_side", "elevation_model", "vertical_datum", "surfaces"),
-            *("landcover", "buildings", "pixels", "first_line", "first_pixel"),
-        )
-    ]
+    names = (
+        *("platform", "polarization", "look_side", "elevation_model", "vertical_datum", "surfaces"),
+        *("landcover", "buildings", "pixels", "first_line", "first_pixel"),
+    )
+    facts = [("frequency", f"{content['frequency_hz'] / 1e9:.4g} GHz")]
+    facts += [(name.replace("_", " "), str(content[name])) for name in names]
     sections = [
         report.section("In short", *(report.paragraph(_sentence(each)) for each in said.words)),
         *([report.section("Measured beside simulated", *compared)] if compared else []),
