@@ -70,6 +70,7 @@ def test_files_of_a_product_without_pixels(tmp_path: Path) -> None:
     report = (out / "report.html").read_text()
     assert "Places are those of orbit and annotation" in report
     assert "image.tif" in report
+    assert "5.405 GHz" in report  # of Sentinel-1
 
 
 @pytest.mark.full
