@@ -232,6 +232,12 @@ def test_trials_can_be_declared(name: str) -> None:
 
 
 REFUSED = [
+    (
+        "point_spread",
+        {"range_fwhm_m": 1.0, "cells": [1.0, 2.0]},
+        "effects.point_spread.cells: found [1.0, 2.0]; allowed",
+    ),
+    ("point_spread", {"range_fwhm_m": 1.0, "cells": [[0.8, "sinc"], [0.7, "none"]]}, "allowed is a pair for range"),
     ("noise_floor", {"level": -1.0}, "effects.noise_floor.level: found -1.0; allowed is 0 to 1e+09 beta0"),
     ("multibounce", {"strength": -1.0}, "allowed is 0 to 1e+06\n"),
     ("multibounce", {"strength": True}, "allowed is a number\n"),

@@ -23,9 +23,12 @@ def _width(name: str) -> EffectParameter:
     return amount(name, "m", 1e4, 1.0, (1e-3, 1e4), meaning, grows_by=2.0)
 
 
+def _is_pair(value: Any) -> bool:
+    return isinstance(value, list | tuple) and len(value) == 2
+
+
 def _is_window(value: Any) -> bool:
-    pair = isinstance(value, list | tuple) and len(value) == 2
-    return all(isinstance(one, str) and one in WINDOWS for one in (value if pair else [value]))
+    return all(isinstance(one, str) and one in WINDOWS for one in (value if _is_pair(value) else [value]))
 
 
 _TAPERS = {"sinc": "none", "taylor": "taylor", "gaussian": None}
@@ -46,12 +49,11 @@ _WINDOW = Setting(
 
 
 def _are_cells(value: Any) -> bool:
-    return isinstance(value, list | tuple) and len(value) == 2 and all(_is_cell(one) for one in value)
+    return _is_pair(value) and all(_is_cell(one) for one in value)
 
 
 def _is_cell(value: Any) -> bool:
-    pair = isinstance(value, list | tuple) and len(value) == 2
-    return pair and type(value[0]) in (int, float) and 0.0 <= value[0] <= 1e4 and value[1] in _CELL_TAPERS
+    return _is_pair(value) and type(value[0]) in (int, float) and 0.0 <= value[0] <= 1e4 and value[1] in _CELL_TAPERS
 
 
 _CELL_TAPERS = ("none", "taylor")

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from warpsar.compare.observation import Observation, usable_pixels
-from warpsar.effects.registry import get, validate
+from warpsar.effects.registry import declared, response_of, validate
 from warpsar.scene.scene import Scene
 from warpsar.world.tables import Grid
 
@@ -55,23 +55,22 @@ def compared(
     if level:
         effects["noise_floor"] = validate("noise_floor", {"level": level, "fixed": True}, "effects.noise_floor")
     if blur_m:
-        effects["point_spread"] = _wider(effects.get("point_spread", {}), blur_m)
+        effects["point_spread"] = _wider(scene, blur_m)
     observations = {
         name: [_prepared(scene, seen, level * gain(seen), blur_m) for seen in found] for name, found in lit.items()
     }
     return PosePixels(replace(scene, effects=effects), observations, level)
 
 
-def _wider(stated: Mapping[str, Any], blur_m: float) -> dict[str, Any]:
-    """The table of a kernel that is wider by `blur_m`. Fields of corners add up in the radar's cells as before: a blur
-    of power makes no corner brighter."""
+def _wider(scene: Scene, blur_m: float) -> dict[str, Any]:
+    """The table of a kernel that is wider by `blur_m` than the scene's. Fields of corners add up in the radar's cells
+    as before: a blur of power makes no corner brighter."""
+    stated = scene.effects.get("point_spread", {})
     widths = {key: math.hypot(float(stated.get(key, 0.0)), blur_m) for key in ("range_fwhm_m", "azimuth_fwhm_m")}
-    effect = get("point_spread")
-    values = np.array([float(stated.get(p.name, p.neutral)) for p in effect.parameters])
-    settings = {s.name: stated.get(s.name, s.default) for s in effect.settings}
-    cells = [list(one) for one in effect.response(values, settings).cells()]
-    table = {**widths, "window": "gaussian", "cells": cells, "fixed": True}
-    return validate(effect.name, table, "effects.point_spread")
+    cells = [list(one) for one in response_of(declared(scene, scene.views[0])).cells()]
+    return validate(
+        "point_spread", {**widths, "window": "gaussian", "cells": cells, "fixed": True}, "effects.point_spread"
+    )
 
 
 def _prepared(scene: Scene, seen: Observation, level: float, blur_m: float) -> Observation:
