@@ -21,6 +21,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import diagnosis_rates
+import runs
 import tables
 from objects_scenes import BODY, CAR, CPU, SIDES, measured, plain
 from objects_whole import WHOLE, whole_rows, whole_run
@@ -178,7 +179,9 @@ def repeated(name: str, out: Path, repeats: int | None, jobs: int, cases: Sequen
     bar = console.progress(len(missing), name, "repeat")
     (out / name).mkdir(parents=True, exist_ok=True)
     study.shared(chosen, out / name)
-    for found in diagnosis_rates.side_by_side(missing, jobs, float("inf"), (out,), one_repeat):
+    for found in runs.side_by_side(missing, jobs, float("inf"), (out,), one_repeat):
+        if isinstance(found, Exception):
+            raise found
         path = path_of(out, (name, found["case"], found["seed"]))
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(json.dumps(found | tables.made(), default=float) + "\n")

@@ -9,6 +9,7 @@ import json
 import multiprocessing
 import os
 import time
+import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from pathlib import Path
@@ -78,18 +79,25 @@ def append(
     left = [key for key in keys if key not in done]
     bar = console.progress(len(left), "runs", "run")
     when, end = tables.made(), time.perf_counter() + max_time
+    failed = 0
     for row in side_by_side(left, jobs, end, options, work):
+        if isinstance(row, Exception):  # the other runs are worth having
+            traceback.print_exception(row)
+            failed += 1
+            continue
         with (folder / "runs.jsonl").open("a") as stream:
             stream.write(json.dumps(row | when) + "\n")
         bar.update()
         click.echo(words(row), err=True)
     bar.close()
+    if failed:
+        raise click.ClickException(f"{failed} runs failed; they are not stored")
 
 
 def side_by_side(
     keys: Sequence[Any], jobs: int, end: float, options: tuple[Any, ...], work: Callable[..., Row]
-) -> Iterator[Row]:
-    """`work` of every key as it is done, `jobs` at a time; none is begun after the time `end`."""
+) -> Iterator[Row | Exception]:
+    """`work` of every key as it is done, or what it raised, `jobs` at a time; none is begun after the time `end`."""
     left = iter(keys)
     at_work: set[Future[Row]] = set()
     if jobs > 1:  # a core for each; the children read it when they import NumPy
@@ -101,4 +109,6 @@ def side_by_side(
             if not at_work:
                 break
             ready, at_work = wait(at_work, return_when=FIRST_COMPLETED)
-            yield from (one.result() for one in ready)
+            for one in ready:
+                raised = one.exception()
+                yield raised if isinstance(raised, Exception) else one.result()

@@ -39,6 +39,18 @@ places = [*timed.WORK.values(), *(place for phase in timed.PHASES.values() for p
 print(json.dumps([f"{holder.__name__}.{name}" for holder, name in places if not callable(getattr(holder, name, None))]))
 """
 
+ONE_FAILS = """
+import json, sys
+from pathlib import Path
+sys.path[0] = sys.argv[1]
+import click, runs
+folder = Path(sys.argv[2])
+try:
+    runs.append(folder, ['{"number": 1}', 'no JSON', '{"number": 2}'], json.loads, str, jobs=2)
+except click.ClickException as error:
+    print(json.dumps([error.message, sorted(row["number"] for row in runs.stored(folder))]))
+"""
+
 
 def fresh(code: str, folder: Path, *words: str) -> object:
     """What a program prints, as JSON. It runs in a process of its own."""
@@ -126,3 +138,8 @@ def test_no_circle_of_benchmarks() -> None:
         return found
 
     assert [name for name in FILES if name in reached(name)] == []
+
+
+def test_a_run_that_fails_leaves_the_others(tmp_path: Path) -> None:
+    found = fresh(ONE_FAILS, ROOT / "benchmarks", str(tmp_path))
+    assert found == ["1 runs failed; they are not stored", [1, 2]]

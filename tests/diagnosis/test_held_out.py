@@ -43,6 +43,7 @@ from warpsar.world.mesh import Mesh
 from warpsar.world.obj import write_obj
 from warpsar.world.objects.shapes import body
 from warpsar.world.objects.table import Object
+from warpsar.world.pixels import Pixels
 from warpsar.world.tables import View
 
 SCENE = """
@@ -313,6 +314,19 @@ def test_a_body_as_a_box_stands_where_it_stood(tmp_path: Path) -> None:
     assert {"body.height", "body.width", "body.length"} <= {number.label for number in numbers(boxed)}
     again = scene_of(scene, scene_content(scene, boxed))
     np.testing.assert_array_equal(again.mesh.vertices, boxed.mesh.vertices)
+
+
+def test_views_that_were_turned_past_north_are_cut(tmp_path: Path) -> None:
+    """A scene file's azimuths end at 360 degrees. Those of views that were turned together may pass it."""
+    path = tmp_path / "scene.toml"
+    path.write_text(SCENE + views(2))
+    scene = Scene.load(path)
+    found = [one.model_copy(update={"images": {"HH": Pixels(np.ones(scene.grid.shape))}}) for one in scene.views]
+    turned = found[0].model_copy(update={"azimuth_deg": 360.7})
+    train = TrainViews(replace(scene, views=[turned, *found[1:]]), devices.resolve_device("cpu"))
+    cut = train.scene.views[0]
+    assert cut.azimuth_deg == 360.7
+    assert cut.images["HH"].shape == train.scene.grid.shape < scene.grid.shape
 
 
 @pytest.mark.full

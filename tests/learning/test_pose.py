@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from learning_scenes import speckle
-from worlds import BRICK, SOIL, ground, mesh_of, scene_of, view
+from worlds import BRICK, SOIL, box, ground, mesh_of, scene_of, view
 
 from warpsar.differentiable.geometry import exact_images, image_slopes
 from warpsar.effects.bounces import tracing
@@ -233,6 +233,19 @@ def test_changes_of_bodies_that_stay_are_kept(monkeypatch: pytest.MonkeyPatch, a
     assert not problem.is_made_at(x)
     np.testing.assert_allclose(problem.jacobian(x)[0], new, atol=1e-6 * np.abs(new).max())
     assert problem.is_made_at(x)
+
+
+def test_changes_of_angles_are_made_again_where_no_body_stands(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What belongs to no body depends on everything: a turn of the views by half a degree."""
+    flat = scene_of(mesh_of(g=ground(40), w=box((-2, -2, 0), (2, 2, 4))), [view(*SIDES[0], name="v0")], shape=(48, 48))
+    plain = with_objects(flat, [], {})
+    problem = problem_of(measured(learned(plain, ("azimuth_deg",), ())))
+    made: list[bool] = []
+    change = PosedProblem._change
+    monkeypatch.setattr(PosedProblem, "_change", lambda *given, **more: (made.append(True), change(*given, **more)))
+    for x in (problem.x0, problem.x0 + 0.001, problem.x0 + 0.5):
+        problem.jacobian(x, near=True)
+    assert len(made) == 2
 
 
 @pytest.mark.parametrize(("tolerance", "near"), [({"position_m": 0.3, "heading_deg": 2.0}, True), ({}, False)])

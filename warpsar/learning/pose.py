@@ -367,7 +367,7 @@ class PosedProblem:
         if met is None:
             return everything, everything
         labels = [one.label for one in scene.objects]
-        belongs = [self.owners, *(np.array([one == c.body for one in labels]) for c in coordinates)]
+        belongs = [self.owners, *(np.array([one == c.body for one in labels], bool) for c in coordinates)]
         of_bodies = np.column_stack(belongs)
         own = of_bodies | ~of_bodies.any(axis=0)
         beside = met.astype(int) @ of_bodies.astype(int) > 0

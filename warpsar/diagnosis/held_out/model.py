@@ -26,6 +26,7 @@ from warpsar.runtime import threads
 from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import Rays
 from warpsar.surface.stage import Stage
+from warpsar.world.pixels import Pixels
 from warpsar.world.tables import View
 
 ITERATIONS = 6
@@ -136,9 +137,8 @@ class TrainViews:
         for pol in view.images if view.name in self.names else ():
             whole = self._measured[view.name, pol]
             row, col = ((n - m) // 2 for n, m in zip(whole.shape, shape, strict=True))
-            images[pol] = np.ascontiguousarray(whole[row : row + shape[0], col : col + shape[1]], np.float32)
-        stated = view.model_dump(by_alias=True, exclude_unset=True, exclude={"images", "slc", "mask"})
-        return View.model_validate({**stated, "images": images})
+            images[pol] = Pixels(whole[row : row + shape[0], col : col + shape[1]])
+        return view.model_copy(update={"images": images, "slc": {}, "mask": None})
 
     def images(self, scene: Scene, names: Sequence[str]) -> list[dict[str, np.ndarray]]:
         """What a scene predicts of views, by polarization, on the whole image."""
