@@ -38,6 +38,7 @@ from warpsar.effects.glints import Glint
 from warpsar.errors import InputError
 from warpsar.measured.chips import import_chips
 from warpsar.runtime import devices
+from warpsar.runtime.deadline import TimeUp
 from warpsar.scene.placing import with_objects
 from warpsar.world.mesh import Mesh
 from warpsar.world.obj import write_obj
@@ -564,6 +565,25 @@ def test_time_that_is_over_leaves_the_first_model(tmp_path: Path) -> None:
     assert late.not_asked == ["whether another effect is missing", RIVALS]
     assert not late.ahead
     assert late.before == late.after
+
+
+@pytest.mark.full
+def test_time_that_is_over_leaves_no_name_that_is_not_earned(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three effects stay by one standard error. One is worth two, and one was asked again: the third has no name."""
+
+    def search(self: FoldSearch) -> None:
+        for label, gain in (("noise_floor", 0.03), ("two_scale", 0.015), ("vegetation", 0.015)):
+            self._added[label] = Added(label)
+            self.held.append(label)
+            self.steps.append(TrialStep(label, gain, 0.01, 0.0, True))
+        self.steps.append(TrialStep("vegetation", 0.03, 0.01, 0.0, True, again=True))
+        raise TimeUp
+
+    monkeypatch.setattr(FoldSearch, "_search", search)
+    late = held_out(measured(tmp_path), devices.resolve_device("cpu"), 2)
+    assert late.held == ["noise_floor", "vegetation"]
+    assert late.untold == ["two_scale"]
+    assert late.not_asked == ["", "the gain of each effect at the end", RIVALS]
 
 
 @pytest.mark.full

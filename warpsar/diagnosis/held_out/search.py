@@ -72,6 +72,7 @@ FRONT_ERRORS = 2.0  # standard errors by which a body predicts better than turne
 CERTAIN = 4.0  # standard errors from which on a front, or what an effect is worth, is not asked again
 EXPLAINED = 2.0  # standard errors above the deviance of speckle, within which nothing else is left
 BOXED = "a box of its size"
+GAINS = "the gain of each effect at the end"
 RIVALS = "whether the body turned round, or a box of its size, predicts as well"
 BEATEN = "a box of its size predicts as well"
 SEARCHED = f"{BOXED}, by a search of its own"
@@ -256,7 +257,8 @@ class FoldSearch:
             with deadline(None if limit_s is None else max(limit_s - (time.monotonic() - started), 0.0)):
                 self._search()
         except TimeUp:
-            unmet = [RIVALS] if self.bodies and self._met is None else []
+            unmet = [GAINS] if self._not_again() else []
+            unmet += [RIVALS] if self.bodies and self._met is None else []
             self.not_asked = list(dict.fromkeys([self._doing, *unmet]))
             console.say(f"the time is over; not asked: {'; '.join(self.not_asked)}")
         model, boxed, met = self._model, self._rivals.get(BOX), self._met
@@ -265,6 +267,7 @@ class FoldSearch:
         if boxed is not None and met is not None:
             models |= {BOX: boxed.scenes} | ({} if met is model else {THEN: met.scenes})
         final = self._of_all_views(model)
+        doubted = [one.label for one in self._not_again() if one.gain <= PAYS * one.error]
         return HeldOut(
             scene=self.trained.whole,
             declared=self.trained.finished(first.scenes[0]),
@@ -278,8 +281,8 @@ class FoldSearch:
             rivals=bool(self.bodies),
             fronts=self._fronts,
             box_held=self._box_held,
-            held=list(dict.fromkeys(self.held)),
-            untold=self._untold(),
+            held=[label for label in dict.fromkeys(self.held) if label not in doubted],
+            untold=[*self._untold(), *doubted],
             not_asked=self.not_asked,
             ended=self.ended,
             counting=self._counting,
@@ -289,6 +292,11 @@ class FoldSearch:
         """The effects whose last trial told nothing."""
         last = {one.label: one for one in self.steps if one.label in self._glanced}
         return [label for label, one in last.items() if one.open and label not in self.held]
+
+    def _not_again(self) -> list[TrialStep]:
+        """The trials of effects of the model that were not asked again at the end."""
+        last = {one.label: one for one in self.steps if one.label in self._added}
+        return [one for one in last.values() if not one.again]
 
     def _search(self) -> None:
         refused: set[str] = set()
@@ -313,7 +321,7 @@ class FoldSearch:
             self._geometry(offsets)
         if self._faced is not self._model:
             self._ask_fronts()
-        self._doing = "the gain of each effect at the end"
+        self._doing = GAINS
         self._model = self._asked_again(self._model)
         self._ask_glints()
         if self._met is not self._model:
