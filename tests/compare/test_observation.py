@@ -48,6 +48,20 @@ def by_hand(lit: np.ndarray, measured_image: np.ndarray, mask: np.ndarray) -> tu
     return interior, dark, zeros
 
 
+def test_less_than_a_trace_in_the_dark_is_a_trace(scene: Scene) -> None:
+    """The far tail of a response, 300 dB down, and nothing at all of the model: neither is said to lack power."""
+    view = scene.views[0]
+    image = read_channel(view.images["HH"], "HH")
+    seen = observe(scene, view, "HH", lit_by(scene))
+    image[seen.dark] = 1e-30
+    faint = replace(seen, measured=image, least=np.full(image.shape, 1e-3)).with_dark()
+    assert faint.faint == pytest.approx(1e-7)
+    dark = faint.dark[faint.interior]
+    assert dark.sum() == seen.dark.sum() > 0
+    np.testing.assert_array_equal(faint.values[dark], np.float32(1e-7))
+    np.testing.assert_array_equal(faint.values[~dark], seen.values)
+
+
 def test_pixels_by_the_rule(scene: Scene, tmp_path: Path) -> None:
     lit = lit_by(scene)
     assert 0.2 < lit.mean() < 0.9

@@ -77,11 +77,14 @@ class Observation:
         """The same with the positive dark pixels in the interior too: additive effects are fitted on them.
 
         Where the model has nothing, `faint` stands in for it. With less, one such pixel that measures power would hide
-        what all others say, in the rounding of its own likelihood.
+        what all others say, in the rounding of its own likelihood. It stands in for a measurement of less, too: the far
+        tail of a response is no power that a model lacks.
         """
         lit = self.interior & ~self.dark
         faint = FAINT * float(np.median(self.least[lit])) if self.least is not None and lit.any() else 0.0
-        return replace(self, interior=self.interior | (self.dark & (np.nan_to_num(self.measured) > 0)), faint=faint)
+        used = self.dark & (np.nan_to_num(self.measured) > 0)
+        measured = np.where(used, np.maximum(self.measured, faint), self.measured)
+        return replace(self, measured=measured, interior=self.interior | used, faint=faint)
 
     @cached_property
     def pixels(self) -> np.ndarray:
