@@ -12,10 +12,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
+import warp as wp
 
+from warpsar.kernels import window_lanes
+from warpsar.runtime.devices import load_kernels
+from warpsar.runtime.structs import fill
 from warpsar.speckle.compared import ComparedPixels
 from warpsar.speckle.tail import Tails
 
@@ -23,7 +28,6 @@ Window = tuple[int, int]
 """Rows and columns of pixels."""
 
 WINDOWS: tuple[Window, ...] = ((3, 3), (5, 5), (9, 9))
-CACHED = 5  # draws at once: their images stay in the cache
 POWER, LIKELIHOOD = 0, 1  # what is asked of windows
 ONE_PIXEL = (1, 1)  # a window; dark ones of it are not asked for
 LEAST_RATIO = 1e-2  # of power: a pixel that is 0 lies a hair beyond all that are nearly 0
@@ -94,19 +98,30 @@ class Scan:
 
     def largest(self, parts: Sequence[np.ndarray]) -> np.ndarray:
         """The largest answer to each question of each draw, shape (2, draws); `parts`: (pixels, draws) per
-        observation."""
+        observation, float32."""
         found = np.zeros((2, parts[0].shape[1]))
-        for i, part in enumerate(parts):
-            for first in range(0, found.shape[1], CACHED):
-                some = slice(first, first + CACHED)
-                parted = zip(self.windows, self._windows(i, part[:, some]), self.looks[i], strict=True)
-                for window, z, looks in parted:
-                    high = z.max(axis=(1, 2))
-                    unlikely = _root(high, looks)
-                    if window != ONE_PIXEL:
-                        unlikely = np.maximum(unlikely, -_root(z.min(axis=(1, 2)), looks))
-                    found[:, some] = np.maximum(found[:, some], [high, unlikely])
+        for native, part, sizes in zip(self._native, parts, self.looks, strict=True):
+            for window, looks, high, low in zip(self.windows, sizes, *_extremes(native, part), strict=True):
+                unlikely = _root(high, looks)
+                if window != ONE_PIXEL:
+                    unlikely = np.maximum(unlikely, -_root(low, looks))
+                found = np.maximum(found, [high, unlikely])
         return found
+
+    @cached_property
+    def _native(self) -> list[Any]:
+        """A `window_lanes.Windows` of each observation, without what is silent."""
+        load_kernels(wp.get_device("cpu"), "window_lanes")
+        size: wp.array = wp.array(np.array(self.windows, np.int32), dtype=wp.vec2i, device="cpu")
+        return [
+            fill(
+                window_lanes.Windows,
+                size=size,
+                scale=wp.array(np.concatenate(scales).astype(np.float32), device="cpu"),
+                inside=wp.array(mask[box].astype(np.uint8), device="cpu"),
+            )
+            for mask, box, scales in zip(self.masks, self.boxes, self.scales, strict=True)
+        ]
 
     def strongest(
         self, parts: Sequence[np.ndarray], granted: Sequence[np.ndarray] | None = None
@@ -145,6 +160,17 @@ def _root(z: np.ndarray, looks: float) -> np.ndarray:
 def surest(spots: Sequence[Spot], values: np.ndarray, tails: Tails) -> tuple[Spot, float]:
     """Of the `Scan.strongest` windows the most improbable, by draws of speckle, and -ln p of any so improbable."""
     return spots[tails.first(values)], float(tails(values))
+
+
+def _extremes(windows: Any, residuals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The largest and the smallest z of each window, shape (windows, draws); `residuals` (pixels, draws)."""
+    values = np.ascontiguousarray(residuals, np.float32)
+    high, low = (np.empty((windows.size.shape[0], values.shape[1]), np.float32) for _ in range(2))
+    rows, cols = windows.inside.shape
+    total: wp.array = wp.empty((rows + 2) * (cols + 1) * window_lanes.LANES, dtype=float, device="cpu")
+    given, *found = (wp.array(each, device="cpu", copy=False) for each in (values, high, low))
+    wp.launch(window_lanes.scan_kernel, 1, inputs=[windows, given, total], outputs=found, device="cpu")
+    return high, low
 
 
 def _sums(grids: np.ndarray, windows: Sequence[Window]) -> list[np.ndarray]:
