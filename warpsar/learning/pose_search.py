@@ -197,7 +197,7 @@ def find_poses(
     along, as in `PosedProblem`. `values`: tables and learned terms to fit along. Raises InputError where nothing of the
     geometry is to be learned, and for views without images.
     """
-    begun = begun_poses(
+    begun = poses_before_descent(
         scene,
         device,
         views=views,
@@ -212,7 +212,7 @@ def find_poses(
     return begun.finish()
 
 
-def begun_poses(
+def poses_before_descent(
     scene: Scene,
     device: wp.Device,
     *,
