@@ -15,6 +15,7 @@ from warpsar.learning.command import LearnOptions, learn
 from warpsar.learning.problem import FitProblem
 from warpsar.runtime import devices
 from warpsar.scene.scene import Scene
+from warpsar.world.pixels import Pixels
 
 pytestmark = pytest.mark.unit
 
@@ -46,6 +47,22 @@ def by_hand(lit: np.ndarray, measured_image: np.ndarray, mask: np.ndarray) -> tu
             if usable and np.hypot(*(lit_at - [i, j]).T).min() > 6:
                 dark[i, j] = True
     return interior, dark, zeros
+
+
+def test_less_than_a_trace_in_the_dark_is_nothing(scene: Scene) -> None:
+    """The far tail of a response, 70 dB under what is lit, is no power that a model lacks; 50 dB under it, it is."""
+    view, lit = scene.views[0], lit_by(scene)
+    image = read_channel(view.images["HH"], "HH")
+    seen = observe(scene, view, "HH", lit)
+    level = float(np.median(image[seen.interior]))
+    rows, cols = np.nonzero(seen.dark)
+    image[seen.dark] = 1e-7 * level
+    image[rows[:9], cols[:9]] = 1e-5 * level
+    again = replace(scene, views=[view.model_copy(update={"images": {"HH": Pixels(image)}})])
+    found = observe(again, again.views[0], "HH", lit)
+    assert np.count_nonzero(found.measured[found.dark]) == 9
+    assert found.with_dark().count == seen.count + 9
+    np.testing.assert_array_equal(found.values, seen.values)
 
 
 def test_pixels_by_the_rule(scene: Scene, tmp_path: Path) -> None:

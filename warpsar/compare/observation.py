@@ -21,6 +21,7 @@ from warpsar.world.tables import View
 
 BORDER = 2  # pixels at the image's edge that are left out
 FAINT = 1e-4  # of the median of `Observation.least`: some 60 dB under the lit pixels
+NOTHING = 1e-6  # of the interior's median: under it, 60 dB, power in the dark is none
 TRACE = 0.1  # of the median beta0: less is a border pixel's share of light
 FAR = 6  # pixels from any lit one: from here on nothing but additive effects can be seen
 
@@ -31,7 +32,8 @@ class Observation:
 
     `interior`: covered by the declared model's surface with all eight neighbours, off the image's edge, unmasked,
     finite and positive. `silent`: the same, but exactly 0, which the gamma likelihood does not allow. `dark`: far from
-    everything lit, off the edge, unmasked and finite; zeros are included.
+    everything lit, off the edge, unmasked and finite; zeros are included. `measured` is 0 there, too, where it is less
+    than `NOTHING` of the interior's median.
     `least` [beta0 before any gain], if given, is a lower bound of the modelled beta0 of each pixel that is not `dark`:
     a model's rays can miss so much. `faint` is that of a dark pixel.
     `looks`: mean^2 / variance of a pixel about its mean. Where the view has `texture`, the shape of its gamma law,
@@ -177,6 +179,9 @@ def observe(scene: Scene, view: View, polarization: str, lit: np.ndarray) -> Obs
             f"positive at once; the image and the mesh do not meet, or sigma0 is 0 at the declared parameters"
         )
     distance = distance_transform_edt(~lit) if lit.any() else np.full(lit.shape, np.inf)
+    dark = usable & (distance > FAR)
+    # the far tails of a response are no power that a model lacks
+    measured = np.where(dark & positive & (measured < NOTHING * np.median(measured[interior])), 0.0, measured)
     looks, estimated = declared_looks(view), view.looks is None or view.looks_estimated
     if looks is None:
         looks = estimated_looks(scene, view, np.where(interior, measured, np.nan))
@@ -186,7 +191,7 @@ def observe(scene: Scene, view: View, polarization: str, lit: np.ndarray) -> Obs
         measured,
         interior,
         usable & inner & ~positive,
-        usable & (distance > FAR),
+        dark,
         float(looks),
         estimated,
         texture=view.texture or math.inf,
