@@ -1,6 +1,6 @@
 """Fits of the diagnosis: where they begin, which are given up, what is dropped, and what views left out say."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -21,6 +21,7 @@ from warpsar.diagnosis.models.left_out import ViewsLeftOut, leave_one_view_out
 from warpsar.diagnosis.models.refit import BOUND, Fitted, descend, fit_model, narrow, on_bounded_ground, refit_as
 from warpsar.diagnosis.scores.templates import with_effect
 from warpsar.diagnosis.search.confirmation import confirm
+from warpsar.diagnosis.turn import pruning
 from warpsar.diagnosis.turn.addition import TOO_LITTLE
 from warpsar.diagnosis.turn.pruning import prune, resettled, with_smaller
 from warpsar.diagnosis.turn.screening import GLANCE, Screening
@@ -260,6 +261,27 @@ def test_a_reading_that_was_taken_while_others_were_missing_is_asked_again(tmp_p
         found = resettled(setup, fitted_to(setup, scene, begun), ["multibounce"], scene).scene.effects["multibounce"]
         assert found["reflection"] == "lobe"
         assert found["strength"] == pytest.approx(1.0, rel=0.3)
+
+
+@pytest.mark.full
+def test_a_reading_that_has_lost_hopelessly_is_fitted_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beside the same effects it is not fitted again; beside others it is."""
+    fits: list[Scene] = []
+
+    def counted(setup: FitSetup, scene: Scene, *rest: Any) -> Fitted:
+        fits.append(scene)
+        return refit_as(setup, scene, *rest)
+
+    monkeypatch.setattr(pruning, "refit_as", counted)
+    lobe = {"multibounce": {"strength": 1.0, "reflection": "lobe"}, "point_spread": BLUR}
+    setup, scene = bench_of(lobe, tmp_path)
+    fitted, lost = fitted_to(setup, scene, lobe), set[Hashable]()
+    for _ in range(2):
+        assert resettled(setup, fitted, ["multibounce"], scene, lost) is fitted
+    assert [one.effects["multibounce"]["reflection"] for one in fits] == ["roughness"]
+    other = fitted_to(setup, scene, {**lobe, "noise_floor": {"level": 1e-4}})
+    resettled(setup, other, ["multibounce"], scene, lost)
+    assert len(fits) == 2
 
 
 @pytest.mark.full

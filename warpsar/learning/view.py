@@ -112,11 +112,12 @@ class FitView:
 
     def modelled(self) -> list[np.ndarray]:
         """beta0 of each observation's interior pixels before any gain, shape (n,), float64, after a forward run."""
-        images = self.render.images
-        return [
-            np.maximum(images[polarization].numpy()[pixels].astype(float), darkest)
-            for polarization, pixels, darkest in self.compared
-        ]
+        images, found = self.render.images, []
+        for polarization, pixels, darkest in self.compared:
+            # clipping checks no index: a third of the time
+            mu = images[polarization].numpy().take(pixels, mode="clip").astype(float)
+            found.append(np.maximum(mu, darkest, out=mu))
+        return found
 
     def add_moments(self, sums: Sequence[wp.array]) -> None:
         """Add the sums of kernels/metrics.py over each observation's pixels, as `modelled` gives them, to one array of

@@ -72,21 +72,28 @@ class Speckle:
         counts half of their squares.
         """
         inside, spectrum = self.spectra[index]
-        power = np.zeros((draws, int(inside.sum())), np.float32)
+        power = np.zeros((draws, *inside.shape), np.float32)
         for _ in range(_fields_of(self.observations[index].law)):
             noise = _white(random, (draws, *spectrum.shape))
             noise *= spectrum
-            field = ifft2(noise, norm="ortho", overwrite_x=True)[:, : inside.shape[0], : inside.shape[1]][:, inside]
-            power += np.float32(0.5) * (field.real**2 + field.imag**2)
-        return np.ascontiguousarray(np.sqrt(power).T)
+            field = ifft2(noise, norm="ortho", overwrite_x=True)[:, : inside.shape[0], : inside.shape[1]]
+            squares = np.square(field.view(np.float32))
+            one = squares[..., ::2]
+            one += squares[..., 1::2]
+            one *= np.float32(0.5)
+            power += one
+        return np.ascontiguousarray(np.sqrt(power[:, inside]).T)
 
     def _power_of(self, root: np.ndarray, law: Law) -> np.ndarray:
         """The table of quantiles at `root`, interpolated: its steps are equal, so that no step has to be searched."""
         table = self._power[law].astype(np.float32)
-        at = np.minimum(root / np.float32(TABLE[1]), np.float32(table.size - 1.0))
+        at = root / np.float32(TABLE[1])
+        np.minimum(at, np.float32(table.size - 1.0), out=at)
         below = at.astype(np.int32)
         at -= below
-        return table.take(below) + at * np.diff(table, append=table[-1]).take(below)
+        at *= np.diff(table, append=table[-1]).take(below)
+        at += table.take(below)
+        return at
 
     def _of_fields(self, correlation: np.ndarray, law: Law) -> np.ndarray:
         """Correlations of fields whose power, taken to the law, has `correlation` (not negative), any shape.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -82,6 +82,7 @@ class Search:
         self._base = declared
         self._refused: dict[frozenset[str], set[str]] = {}  # what was taken back, by what the model had left then
         self._times: Counter[str] = Counter()  # that an effect was added
+        self._lost: set[Hashable] = set()  # models with other settings (`resettled`)
         self._stage = 0
         self._asked: set[str] = set()  # of the model's additions: those that hold beside all the others
         self._posed: FoundPoses | None = None  # changed objects of the final model
@@ -267,7 +268,7 @@ class Search:
                 prune(setup, turn, self._effects(here), price)
                 left = [name for name in self._effects(here) if name in turn.fitted.scene.effects]
                 paths = [name for name in left if get(name).follows_rays]
-                turn.fitted = resettled(setup, turn.fitted, paths, self.scene)
+                turn.fitted = resettled(setup, turn.fitted, paths, self.scene, self._lost)
         return turn
 
     def _scored(self) -> tuple[Turn, FitSetup, Fitted, Evidence, dict[str, list[Template]]]:
@@ -375,7 +376,7 @@ class Search:
         settled = settle(setup, here, self.options.starts, self.options.seed)
         price = Evidence.of(settled.problem, settled.x).price()
         last = self.turns[-1]
-        settled = resettled(setup, settled, self._effects(settled), self.scene)
+        settled = resettled(setup, settled, self._effects(settled), self.scene, self._lost)
         settled = trimmed(setup, settled, self._effects(settled), price, self.scene)
         settled = with_smaller(setup, settled, self._effects(settled), price)
         return confirm(setup, settled, self._added(settled), needed, price, declared=self.scene, quiet=not last.alarms)

@@ -3,14 +3,15 @@ settings the rest asks for."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from statistics import mean
 from typing import Any
 
 from warpsar.diagnosis.found import Turn
+from warpsar.diagnosis.geometry.registry import changes
 from warpsar.diagnosis.models.fit_setup import FitSetup
-from warpsar.diagnosis.models.refit import Fitted, refit_as, refit_without
+from warpsar.diagnosis.models.refit import HOPELESS, Fitted, refit_as, refit_without
 from warpsar.diagnosis.scores.templates import with_effect
 from warpsar.diagnosis.turn.screening import WORTH
 from warpsar.effects.base.trial import Context
@@ -82,7 +83,9 @@ def _means(name: str, smaller: str, table: Mapping[str, Any]) -> dict[str, Any]:
     return {key: mean(one.values()) if isinstance(one, Mapping) else one for key, one in stated.items()}
 
 
-def resettled(setup: FitSetup, fitted: Fitted, added: Sequence[str], declared: Scene) -> Fitted:
+def resettled(
+    setup: FitSetup, fitted: Fitted, added: Sequence[str], declared: Scene, lost: set[Hashable] | None = None
+) -> Fitted:
     """`fitted`, with those settings of the `added` effects that the images ask for; everything is fitted anew with
     each. What the scene file declares stays.
 
@@ -90,15 +93,33 @@ def resettled(setup: FitSetup, fitted: Fitted, added: Sequence[str], declared: S
     another shape than what they leave. Asked again, the choice does not depend on the order. Effects of the image are
     asked for all their settings, since what was rendered stays as it is; others for what their trials differ by. These
     begin from the `declared` surface, too: a wrong setting has made up for itself by the surface.
+
+    `lost` holds the models that fell hopelessly behind with the settings that they have. They are not fitted again, and
+    more are added. A bounce's other reflection has rays of its own to follow: it costs as much as a turn.
     """
+    lost = set() if lost is None else lost
     for name in added:
         surface = declared if get(name).follows_rays else None
         for table in _other_settings(fitted.scene, name):
             scene = replace(fitted.scene, effects={**fitted.scene.effects, name: table})
+            model = _settings_of(scene, declared)
+            if model in lost:
+                continue
             trial = refit_as(setup, scene, surface, fitted.whole)
             if trial.log_likelihood > fitted.log_likelihood + WORTH:
                 fitted = trial
+            elif trial.log_likelihood < fitted.log_likelihood - HOPELESS:
+                lost.add(model)
     return fitted
+
+
+def _settings_of(scene: Scene, declared: Scene) -> Hashable:
+    """What a model has beside numbers that are fitted: changes of geometry, effects, and their settings."""
+    effects = [
+        (name, *(f"{setting.name} = {table.get(setting.name, setting.default)}" for setting in get(name).settings))
+        for name, table in sorted(scene.effects.items())
+    ]
+    return tuple(sorted(changes(declared, scene))), tuple(effects)
 
 
 def _other_settings(scene: Scene, name: str) -> Iterator[dict[str, Any]]:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import irfft2, next_fast_len, rfft2
 from scipy.optimize import nnls
 from scipy.special import gammaincinv
 
@@ -69,13 +70,19 @@ def _above_its_least(one: SeenImage) -> NDArray[np.float64]:
 
 def _response(one: SeenImage) -> NDArray[np.float64]:
     """What each box of the response sums up in the dark pixels, shape (pixels, boxes)."""
-    from scipy.signal import fftconvolve
-
     source = np.where(one.lit, np.nan_to_num(one.measured), 0.0)
     found = [_box(source, axis, reach)[one.dark] for axis in (0, 1) for reach in _reaches(source.shape[axis])]
     tails = [1.0 / (1.0 + (np.arange(1 - n, n) / _TAIL) ** 2) for n in source.shape]
-    found.append(np.maximum(fftconvolve(source, np.outer(*tails), mode="same"), 0.0)[one.dark])
+    found.append(np.maximum(_smeared(source, np.outer(*tails)), 0.0)[one.dark])
     return np.stack(found, axis=1)
+
+
+def _smeared(source: NDArray[np.float64], response: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The `source`, shape (rows, cols), convolved with a `response` (2 rows - 1, 2 cols - 1) about the middle pixel."""
+    rows, cols = source.shape
+    whole = [next_fast_len(3 * n - 2, real=True) for n in source.shape]
+    found = irfft2(rfft2(source, whole) * rfft2(response, whole), whole)
+    return np.asarray(found[rows - 1 : 2 * rows - 1, cols - 1 : 2 * cols - 1])
 
 
 def _reaches(count: int) -> list[int]:
