@@ -18,6 +18,7 @@ from warpsar.errors import InputError
 from warpsar.learning.command import run
 from warpsar.learning.geometry import Geometry
 from warpsar.learning.glints import with_glints
+from warpsar.learning.learned_objects import learned_objects
 from warpsar.learning.options import LearnOptions
 from warpsar.learning.pose import (
     FEW_RAYS,
@@ -712,6 +713,33 @@ def test_a_bright_point_beside_a_body_is_found_and_none_is_where_there_is_none()
         assert abs(np.subtract(glint.position_m, point.position_m) @ axis) < 0.5
     again = with_glints(measured(asked), CPU, "gamma")
     assert [one.label for one in again.objects] == ["hut", "shed"]
+
+
+@pytest.mark.full
+def test_learn_fits_a_body_together_with_its_bright_point() -> None:
+    """A box that stands 0.4 m from where it was read off, and a lamp beside it: both are found, the box within three
+    standard deviations, and the images gain by the lamp."""
+    views = [view(azimuth, 45, name=f"v{k}") for k, azimuth in enumerate((40.0, 110.0))]
+    plain = scene_of(mesh_of(g=ground(40)), views, shape=(64, 64), spacing_m=(0.5, 0.5))
+    known = {"learn": ("position",), "tolerance": {"position_m": [0.5, 0.5, 0.0]}}
+    body = Object(name="hut", primitive="box", size_m=(6.0, 3.0, 3.0), material="body", **known)
+    lamp = Object(name="lamp", primitive="box", size_m=(0.4, 0.4, 0.4), position_m=(1.0, 2.5, 3.2), material="lamp")
+    bright = Material(**{**BRICK, "rms_height_m": 6.0 * BRICK["rms_height_m"]})
+    kinds = {"g": Material(**SOIL), "body": Material(**BRICK).model_copy(update={"learn": ("rms_height_m",)})}
+    stands = body.model_copy(update={"position_m": (0.3, -0.25, 0.0)})
+    truth = measured(with_objects(plain, [stands, lamp], {**kinds, "lamp": bright}))
+    ends = {}
+    for glint in (False, True):
+        asked = with_objects(truth, [body.model_copy(update={"glint": glint})], kinds)
+        learned = learned_objects(asked, CPU, "gamma")
+        assert learned is not None
+        ends[glint] = learned.found
+    assert [one.label for one in ends[True].scene.objects] == ["hut", "hut.glint"]
+    told = ends[True].objects["hut"]
+    for value, sd, true in zip(told["position_m"], told["position_sd_m"], stands.position_m, strict=True):
+        assert abs(value - true) <= 3.0 * sd
+    assert told["position_sd_m"][2] == 0.0
+    assert ends[True].loss < ends[False].loss - 30.0
 
 
 def test_effects_that_carry_power_share_nothing() -> None:

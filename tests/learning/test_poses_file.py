@@ -11,6 +11,7 @@ from worlds import BRICK, SOIL, ground, mesh_of, scene_of, view
 import warpsar
 from warpsar.differentiable.geometry import exact_images
 from warpsar.errors import InputError
+from warpsar.learning.geometry import Geometry
 from warpsar.learning.pose_search import find_poses, survey_errors
 from warpsar.learning.prior import Known, Prior
 from warpsar.runtime import devices
@@ -268,3 +269,24 @@ def test_each_element_may_have_its_own_tolerance() -> None:
         Object(**TABLE, tolerance={"position_m": [0.8, 1.2]})
     with pytest.raises(InputError, match="above 0"):
         Object(**TABLE, tolerance={"heading_deg": [1.0, 1.0, 1.0]})
+
+
+@pytest.mark.unit
+def test_a_tolerance_of_0_holds_one_element() -> None:
+    """A car that stands on known ground, and whose width no image shows: four numbers of six are learned."""
+    known = {"position_m": [0.7, 0.7, 0.0], "size_m": [0.46, 0.0, 0.18]}
+    one = Object(**TABLE, learn=("position", "size"), tolerance=known)
+    plain = scene_of(mesh_of(g=ground(40)), [view(90, 45)], shape=(32, 32), spacing_m=(1.0, 1.0))
+    geometry = Geometry(with_objects(plain, [one], {"g": Material(**SOIL), "metal": Material(**BRICK)}))
+    assert geometry.labels == ["car.east", "car.north", "car.length", "car.height"]
+    assert [sd for _, sd in geometry.known] == [0.7, 0.7, 0.46, 0.18]
+    (moved,) = geometry.at(np.full(4, 0.5)).objects
+    assert moved.position_m == (0.5, 0.5, 0.0)
+    assert moved.size_m is not None
+    assert moved.size_m[1] == 1.8
+    assert moved.size_m[0] > 4.6
+    for bad in ([0.0, 0.0, 0.0], [0.7, 0.7, -0.1]):
+        with pytest.raises(InputError, match="above 0"):
+            Object(**TABLE, tolerance={"position_m": bad})
+    with pytest.raises(InputError, match="survey_tolerance of position_m with a tolerance of 0"):
+        Object(**TABLE, tolerance=known, survey="plan", survey_tolerance={"position_m": 1.0})

@@ -81,8 +81,9 @@ class Geometry:
     """The freed parameters of bodies, views and image; the vector p, shape (n,) [m], is 0 where the scene puts them.
 
     `known` says of each element about which value it is known, and to which standard deviation, in the parameter's
-    unit; it is infinite without a tolerance. Positions are held where a fit shifts every view by itself, which can do
-    what they do (`sets_all_positions`); `held` has a sentence for each object.
+    unit; it is infinite without a tolerance, and what is known to 0 is no element. Positions are held where a fit
+    shifts every view by itself, which can do what they do (`sets_all_positions`); `held` has a sentence for each
+    object.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -104,6 +105,8 @@ class Geometry:
         for index, (start, about_sd) in enumerate(zip(values, known, strict=True)):
             if parameter.key == "size_m" and start == 0.0:
                 continue  # a plate's thickness
+            if about_sd[1] == 0.0:
+                continue  # held by its tolerance
             slope = {"position_m": 1.0, "size_m": 2.0 / max(start, 1e-9)}.get(parameter.key, 1.0 / radius)
             slope = math.degrees(slope) if parameter.unit == "deg" else slope
             which = index if parameter.layout == "vector" else None

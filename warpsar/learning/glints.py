@@ -27,7 +27,7 @@ REACH_M = 1.0  # beyond the body's extent
 AROUND = 2  # pixels about a point that are compared
 LEVELS = (0.1, 0.3, 1.0, 3.0, 10.0)  # of a tried point, against the brightest modelled pixel about it
 NUMBERS = 3.0  # gain in ln L that a glint's place in range and in azimuth and its power cost
-TOLERANCE_M = (1.0, 1.0, 0.02)
+TOLERANCE_M = (1.0, 1.0, 0.0)  # its height is held: range tells it as east and north do
 
 
 @dataclass(frozen=True)

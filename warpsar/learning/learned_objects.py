@@ -12,7 +12,7 @@ from warpsar.learning.device_values import DeviceValues
 from warpsar.learning.geometry import freed
 from warpsar.learning.glints import with_glints
 from warpsar.learning.identify import Identified
-from warpsar.learning.pose_search import FoundPoses, find_poses
+from warpsar.learning.pose_search import FoundPoses, poses_before_descent, search_poses
 from warpsar.runtime import console
 from warpsar.scene.scene import Scene
 
@@ -55,11 +55,14 @@ def learned_objects(
     """
     if next(freed(scene), None) is None:
         return None
-    found = find_poses(scene, device, loss=loss, smooth=True, values=values)
+    begun = poses_before_descent(scene, device, loss=loss, smooth=True, values=values)
     if any(one.glint for one in scene.objects):
-        with_points = with_glints(found.scene, device, loss)
+        there, values = begun.approached()
+        with_points = with_glints(there, device, loss)
         console.say(f"glints: {len(with_points.objects) - len(scene.objects)} of {len(scene.objects)} bodies")
-        found = find_poses(with_points, device, loss=loss, search=False, smooth=True, values=found.values)
+        # the points begin as bright as their bodies, and the bodies where they are near
+        begun = search_poses(with_points, device, loss=loss, blurs_m=(), smooth=True, values=values).shaded()
+    found = begun.finish()
     console.say(f"geometry: log-likelihood up by {found.gain:.4g}")
     return LearnedObjects(found.scene, found)
 

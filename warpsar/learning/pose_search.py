@@ -121,6 +121,13 @@ class PoseSearch:
         there = descend(problem, problem.start_from(self.known), flat=search_flat(problem), near=True)
         return replace(self, known=dict(zip(problem.labels, there.x.tolist(), strict=True)))
 
+    def approached(self) -> tuple[Scene, DeviceValues]:
+        """The scene near its likeliest geometry, as close as a search comes, and the tables and terms there: for what
+        is looked for in the images before they are fitted to the end."""
+        problem = self._problem(compared(self.scene, self.pixels, 0.0, self.gains), 0.0)
+        there = descend(problem, problem.start_from(self.known), flat=search_flat(problem), near=True)
+        return _scene_at(problem, there.x, self.scene), self._values_at(problem, there.x)
+
     def _values_at(self, problem: PosedProblem, x: np.ndarray) -> DeviceValues:
         """The tables and terms at an x of the problem."""
         inner, rest = problem.split(x)
@@ -190,6 +197,35 @@ def find_poses(
     along, as in `PosedProblem`. `values`: tables and learned terms to fit along. Raises InputError where nothing of the
     geometry is to be learned, and for views without images.
     """
+    begun = poses_before_descent(
+        scene,
+        device,
+        views=views,
+        observations=observations,
+        loss=loss,
+        search=search,
+        held=held,
+        standing=standing,
+        smooth=smooth,
+        values=values,
+    )
+    return begun.finish()
+
+
+def poses_before_descent(
+    scene: Scene,
+    device: wp.Device,
+    *,
+    views: Sequence[str] | None = None,
+    observations: Mapping[str, list[Observation]] | None = None,
+    loss: str = "gamma",
+    search: bool = True,
+    held: bool = False,
+    standing: Collection[str] = (),
+    smooth: bool = False,
+    values: DeviceValues | None = None,
+) -> PoseSearch:
+    """What `find_poses` does before sharp images move bodies; as that."""
     near = search and known_near(scene)
     begun = search_poses(
         scene,
@@ -203,7 +239,7 @@ def find_poses(
         smooth=smooth,
         values=values,
     )
-    return (begun.shaded() if near else begun).finish()
+    return begun.shaded() if near else begun
 
 
 def search_poses(

@@ -205,8 +205,9 @@ def _tolerance(about: _Json, *, each: bool = False) -> _Json:
     """One standard deviation, a share of the value, or either with the value that is known; `each`: or three."""
     sd: list[_Json] = [{"type": "number", "exclusiveMinimum": 0.0}, {"type": "string", "pattern": tolerance.SHARE}]
     if each:
-        three: _Json = {"type": "number", "exclusiveMinimum": 0.0}
-        sd.append({"type": "array", "items": three, "minItems": 3, "maxItems": 3})
+        three: _Json = {"type": "number", "minimum": 0.0}  # 0 holds an element
+        some = {"contains": {"type": "number", "exclusiveMinimum": 0.0}}
+        sd.append({"type": "array", "items": three, "minItems": 3, "maxItems": 3, **some})
     pinned = {"about": about, "sd": {"anyOf": sd}}
     table = {"type": "object", "properties": pinned, "required": list(pinned), "additionalProperties": False}
     return {"anyOf": [*sd, table]}

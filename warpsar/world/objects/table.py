@@ -138,9 +138,9 @@ class Object(Table):
     tolerance: dict[str, Any] = Field(
         default_factory=dict,
         description='Standard deviation to which a key is known, in the key\'s unit, or relative, such as "5 %"; '
-        "[a, b, c] for each element of position_m, size_m and scale; "
+        "[a, b, c] for each element of position_m, size_m and scale, 0 for one that a fit holds; "
         "{ about = VALUE, sd = ... } where another value is known than the one stated.",
-        examples=[{"position_m": 0.3, "heading_deg": 2.0}, {"position_m": [0.8, 0.8, 0.02]}],
+        examples=[{"position_m": 0.3, "heading_deg": 2.0}, {"position_m": [0.8, 0.8, 0.0]}],
     )
 
     survey: Annotated[str, Field(pattern=NAME)] | None = Field(
@@ -184,8 +184,9 @@ class Object(Table):
             sd = _sd_of(given) if not isinstance(given, dict) or set(given) == {"about", "sd"} else given
             text = isinstance(sd, str) and re.fullmatch(r"\s*\d+(\.\d*)?\s*%\s*", sd)
             each_sd = _three(sd) if key in THREE and len(_three(sd)) == 3 else (sd,)
-            if not text and not all(_is_number(one) and 0 < one < float("inf") for one in each_sd):
-                three = ", three of them" if key in THREE else ""
+            numbers = all(_is_number(one) and 0 <= one < float("inf") for one in each_sd)
+            if not text and not (numbers and (any(each_sd) if len(each_sd) == 3 else each_sd[0] > 0)):
+                three = ", three of them with 0 for one that is held" if key in THREE else ""
                 raise ValueError(
                     f'{key} must be a number above 0, in the key\'s own unit{three}, or text such as "5 %"'
                 )
@@ -233,6 +234,10 @@ class Object(Table):
                 raise ValueError("found survey_tolerance without survey; the bodies of one survey share its error")
             if isinstance(_sd_of(self.tolerance.get(key)), str | None):
                 raise ValueError(f"found survey_tolerance of {key}; must have a tolerance of it, too, in its unit")
+            if 0 in _three(_sd_of(self.tolerance[key])):
+                raise ValueError(
+                    f"found survey_tolerance of {key} with a tolerance of 0; must be above 0, as all moves"
+                )
 
     def _refuse_sizes(self) -> None:
         if self.size_m is None and self.poses is not None:
