@@ -10,13 +10,18 @@ from typing import Any
 
 from warpsar.diagnosis.found import Turn
 from warpsar.diagnosis.geometry.registry import changes
-from warpsar.diagnosis.models.fit_setup import FitSetup
+from warpsar.diagnosis.models.fit_setup import FitSetup, OtherMeshes
 from warpsar.diagnosis.models.refit import HOPELESS, Fitted, refit_as, refit_without
 from warpsar.diagnosis.scores.templates import with_effect
 from warpsar.diagnosis.turn.screening import WORTH
 from warpsar.effects.base.trial import Context
 from warpsar.effects.registry import get
+from warpsar.learning.pose import FEW_RAYS
 from warpsar.scene.scene import Scene
+
+CLEARLY = 10.0
+"""Times what few rays cost a model in log-likelihood: another setting's paths may be noisier than its own, by cells in
+which fields of few rays add up."""
 
 
 def prune(setup: FitSetup, turn: Turn, earlier: Sequence[str], price: float) -> None:
@@ -95,7 +100,8 @@ def resettled(
     begin from the `declared` surface, too: a wrong setting has made up for itself by the surface.
 
     `lost` holds the models that fell hopelessly behind with the settings that they have. They are not fitted again, and
-    more are added. A bounce's other reflection has rays of its own to follow: it costs as much as a turn.
+    more are added. A bounce's other reflection has rays of its own to follow: it costs as much as a turn. So it is
+    asked on a few of the rays first (`_far_behind`).
     """
     lost = set() if lost is None else lost
     for name in added:
@@ -105,12 +111,25 @@ def resettled(
             model = _settings_of(scene, declared)
             if model in lost:
                 continue
+            if get(name).follows_rays and _far_behind(setup, fitted, scene, declared):
+                lost.add(model)
+                continue
             trial = refit_as(setup, scene, surface, fitted.whole)
             if trial.log_likelihood > fitted.log_likelihood + WORTH:
                 fitted = trial
             elif trial.log_likelihood < fitted.log_likelihood - HOPELESS:
                 lost.add(model)
     return fitted
+
+
+def _far_behind(setup: FitSetup, fitted: Fitted, scene: Scene, declared: Scene) -> bool:
+    """Whether a fit of the `scene`, which differs from `fitted` in a setting, is given up on `FEW_RAYS` already: by
+    `CLEARLY` times more than their fewness costs `fitted` itself."""
+    few = replace(setup, rays=setup.rays.thinned(FEW_RAYS), others=OtherMeshes())
+    problem = few.problem(fitted.scene)
+    whole = -problem.value(problem.modelled(problem.x0)) - problem.penalty(problem.x0)
+    trial = refit_as(few, scene, declared, whole)
+    return trial.whole < whole - max(HOPELESS, CLEARLY * abs(fitted.whole - whole))
 
 
 def _settings_of(scene: Scene, declared: Scene) -> Hashable:
