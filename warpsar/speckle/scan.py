@@ -168,8 +168,8 @@ def _extremes(windows: Any, residuals: np.ndarray) -> tuple[np.ndarray, np.ndarr
     high, low = (np.empty((windows.size.shape[0], values.shape[1]), np.float32) for _ in range(2))
     rows, cols = windows.inside.shape
     total: wp.array = wp.empty((rows + 2) * (cols + 1) * window_lanes.LANES, dtype=float, device="cpu")
-    given, *found = (wp.array(each, device="cpu", copy=False) for each in (values, high, low))
-    wp.launch(window_lanes.scan_kernel, 1, inputs=[windows, given, total], outputs=found, device="cpu")
+    placed: list[wp.array] = [wp.array(each, device="cpu", copy=False) for each in (values, high, low)]
+    wp.launch(window_lanes.scan_kernel, 1, inputs=[windows, placed[0], total], outputs=placed[1:], device="cpu")
     return high, low
 
 
