@@ -1,6 +1,6 @@
 """The largest and the smallest of weighted sums over windows of images, for eight draws at once, on the CPU.
 
-An element of a sum takes a nanosecond so, and five where NumPy passes through memory for each step.
+The largest and the smallest of eight draws stay in registers, where NumPy writes each step to memory.
 """
 
 import warp as wp

@@ -12,7 +12,7 @@ from warpsar.learning.device_values import DeviceValues
 from warpsar.learning.geometry import freed
 from warpsar.learning.glints import with_glints
 from warpsar.learning.identify import Identified
-from warpsar.learning.pose_search import FoundPoses, poses_before_descent, search_poses
+from warpsar.learning.pose_search import FoundPoses, search_poses
 from warpsar.runtime import console
 from warpsar.scene.scene import Scene
 
@@ -55,7 +55,7 @@ def learned_objects(
     """
     if next(freed(scene), None) is None:
         return None
-    begun = poses_before_descent(scene, device, loss=loss, smooth=True, values=values)
+    begun = search_poses(scene, device, loss=loss, blurs_m=None, smooth=True, values=values)
     if any(one.glint for one in scene.objects):
         there, values = begun.approached()
         with_points = with_glints(there, device, loss)

@@ -197,49 +197,19 @@ def find_poses(
     along, as in `PosedProblem`. `values`: tables and learned terms to fit along. Raises InputError where nothing of the
     geometry is to be learned, and for views without images.
     """
-    begun = poses_before_descent(
-        scene,
-        device,
-        views=views,
-        observations=observations,
-        loss=loss,
-        search=search,
-        held=held,
-        standing=standing,
-        smooth=smooth,
-        values=values,
-    )
-    return begun.finish()
-
-
-def poses_before_descent(
-    scene: Scene,
-    device: wp.Device,
-    *,
-    views: Sequence[str] | None = None,
-    observations: Mapping[str, list[Observation]] | None = None,
-    loss: str = "gamma",
-    search: bool = True,
-    held: bool = False,
-    standing: Collection[str] = (),
-    smooth: bool = False,
-    values: DeviceValues | None = None,
-) -> PoseSearch:
-    """What `find_poses` does before sharp images move bodies; as that."""
-    near = search and known_near(scene)
     begun = search_poses(
         scene,
         device,
         views=views,
         observations=observations,
         loss=loss,
-        blurs_m=SEARCH_BLUR_M if search and not near else (),
+        blurs_m=None if search else (),
         held=held,
         standing=standing,
         smooth=smooth,
         values=values,
     )
-    return begun.shaded() if near else begun
+    return begun.finish()
 
 
 def search_poses(
@@ -249,24 +219,28 @@ def search_poses(
     views: Sequence[str] | None = None,
     observations: Mapping[str, list[Observation]] | None = None,
     loss: str = "gamma",
-    blurs_m: Sequence[float] = SEARCH_BLUR_M,
+    blurs_m: Sequence[float] | None = SEARCH_BLUR_M,
     held: bool = False,
     standing: Collection[str] = (),
     smooth: bool = False,
     values: DeviceValues | None = None,
 ) -> PoseSearch:
-    """The search on blurred images that `find_poses` begins with, and goes on from (`PoseSearch.finish`)."""
+    """What `find_poses` begins with, and goes on from (`PoseSearch.finish`): a search on images blurred by `blurs_m`
+    [m], one after the other. None: by `SEARCH_BLUR_M`, or by nothing where all is known to be near."""
     if next(freed(scene), None) is None:
         raise InputError(
             f"{scene.name}: found no object, view, [radar] or [image] with `learn`; at least one must state it"
         )
+    near = blurs_m is None and known_near(scene)
+    if blurs_m is None:
+        blurs_m = () if near else SEARCH_BLUR_M
     pixels, gains = lit_pixels(scene, device, loss, views, observations)
     found = PoseSearch(scene, device, pixels, gains, loss, held, standing, 0.0, {}, values or DeviceValues(), smooth)
     for blur_m in blurs_m:
         blurred, there = found.descended(blur_m)
         gain = blurred.value(blurred.x0) - there.loss if blur_m == blurs_m[-1] else 0.0
         found = replace(found, gain=gain, known=dict(zip(blurred.labels, there.x.tolist(), strict=True)))
-    return found
+    return found.shaded() if near else found
 
 
 def known_near(scene: Scene) -> bool:

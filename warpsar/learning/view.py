@@ -114,7 +114,7 @@ class FitView:
         """beta0 of each observation's interior pixels before any gain, shape (n,), float64, after a forward run."""
         images, found = self.render.images, []
         for polarization, pixels, darkest in self.compared:
-            # clipping checks no index: a third of the time
+            # clipping checks no index, and these are the pixels of this very image
             mu = images[polarization].numpy().take(pixels, mode="clip").astype(float)
             found.append(np.maximum(mu, darkest, out=mu))
         return found

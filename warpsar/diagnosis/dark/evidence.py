@@ -86,7 +86,7 @@ def worth_a_refit(
     if dark.refuses_a_floor:
         for candidate in found:
             if get(candidate.effect).is_floor:
-                candidate.refused = f"{dark.pixels - dark.positive} of {dark.pixels} dark pixels measure exactly 0"
+                candidate.refused = f"{dark.pixels - dark.positive} of {dark.pixels} dark pixels measure nothing"
                 candidate.note = candidate.refused
         order, found = ([c for c in some if not get(c.effect).is_floor] for some in (order, found))
     if dark.asks:

@@ -204,8 +204,8 @@ def _steps(result: HeldOut) -> str:
         "nothing new gains on other rays. A hypothesis that gains nothing on the first part gets no other fit. Effects "
         "that stay are asked again at the end: each is left out once more, on two draws of rays where one does not "
         "tell, and goes unless it is worth two standard errors over arcs of views and over draws. What gains less "
-        "cannot be told here: more views may. Nor can what was not asked again, as the time was over, and gained "
-        "no more than two standard errors."
+        "cannot be told here: more views may. Nor can what gained no more than two standard errors "
+        "and was not asked again, as the search ended before that."
     )
     head = ("tried", "gain of views left out", "standard error", "noise", "stays")
     return report.section("What was tried", report.paragraph(sentences), report.table(head, rows))
