@@ -91,20 +91,20 @@ def _first_box(ground: TrialGround, place: BodyPlace, name: str) -> Tried:
     material = known[int(np.argmin(losses))]
     starts = [(shape, _as_it_stands(ground, _with(ground, shape, material), blur_m)) for shape in (first, *turned)]
     shape, start = min(starts, key=lambda one: one[1].loss)
-    blurred = ground.settled(start.scene, blur_m, most=QUICK_STEPS, flat=QUICK_FLAT)
+    blurred = ground.settled(start.scene, blur_m, most=QUICK_STEPS, flat=QUICK_FLAT, rough=True)
     scene = _tidied(ground, blurred.scene)
-    return Tried(shape, ground.settled(scene, most=2 * QUICK_STEPS, flat=QUICK_FLAT))
+    return Tried(shape, ground.settled(scene, most=2 * QUICK_STEPS, flat=QUICK_FLAT, rough=True))
 
 
 def _fitted(ground: TrialGround, shape: TrialBody, material: Material, steps: int, blur_m: float = 0.0) -> Tried:
     scene = _with(ground, shape, material)
     if blur_m:
-        scene = ground.settled(scene, blur_m, most=steps, flat=QUICK_FLAT).scene
-    return Tried(shape, ground.settled(scene, most=steps, flat=QUICK_FLAT))
+        scene = ground.settled(scene, blur_m, most=steps, flat=QUICK_FLAT, rough=True).scene
+    return Tried(shape, ground.settled(scene, most=steps, flat=QUICK_FLAT, rough=True))
 
 
 def _again(ground: TrialGround, tried: Tried) -> Tried:
-    return replace(tried, standing=ground.settled(tried.standing.scene, most=QUICK_STEPS, flat=QUICK_FLAT))
+    return replace(tried, standing=ground.settled(tried.standing.scene, most=QUICK_STEPS, flat=QUICK_FLAT, rough=True))
 
 
 def _rounded(ground: TrialGround, tried: Tried) -> list[Tried]:
@@ -125,7 +125,7 @@ def _of_known_materials(ground: TrialGround, tried: Tried) -> list[Tried]:
 
 
 def _as_it_stands(ground: TrialGround, scene: Scene, blur_m: float = 0.0) -> Standing:
-    problem = ground.problem(scene, blur_m)
+    problem = ground.problem(scene, blur_m, rough=True)
     return Standing(scene, problem.value(problem.x0), problem, problem.x0)
 
 

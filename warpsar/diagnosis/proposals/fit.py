@@ -86,8 +86,11 @@ class TrialGround:
         more = {} if material is None or one.material is None else {one.material: material}
         return with_objects(self.scene, [*self.scene.objects, one], more)
 
-    def problem(self, scene: Scene, blur_m: float = 0.0, views: Sequence[str] | None = None) -> PosedProblem:
-        """The problem of a scene with an object on trial, which stays on the ground unless it is a point."""
+    def problem(
+        self, scene: Scene, blur_m: float = 0.0, views: Sequence[str] | None = None, *, rough: bool = False
+    ) -> PosedProblem:
+        """The problem of a scene with an object on trial, which stays on the ground unless it is a point; `rough` as
+        `PosedProblem` has it."""
         both = self.compared(blur_m)
         seen = {name: found for name, found in both.observations.items() if views is None or name in views}
         effects = dict(both.scene.effects)
@@ -100,6 +103,7 @@ class TrialGround:
             loss=self.loss,
             level=both.level,
             standing=standing(scene),
+            rough=rough,
         )
         low, high = problem.bounds
         for label, least, largest in _usual(scene):
@@ -116,9 +120,10 @@ class TrialGround:
         views: Sequence[str] | None = None,
         most: int = MOST_STEPS,
         flat: float = FLAT,
+        rough: bool = False,
     ) -> Standing:
         """The scene at its best, from where it stands; as `descend`."""
-        problem = self.problem(scene, blur_m, views)
+        problem = self.problem(scene, blur_m, views, rough=rough)
         end = descend(problem, problem.x0, most=most, flat=flat)
         inner, rest = problem.split(end.x)
         found = learned_scene(inner, rest)
