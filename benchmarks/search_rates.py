@@ -461,21 +461,23 @@ def intervals(done: Diagnosed, true: Scene) -> list[tuple[str, float | None, flo
     """Of each number of the final model that the scene of the images has too: its name, and both ends of its stated
     95 % interval less the truth, None where an end is open.
 
-    In the coordinates of the fit: ln of a level, degrees of an angle. Gains of views are about their mean, which is the
-    surface's.
+    In the coordinates of the fit: ln of a level, degrees of an angle. Only differences between gains act. So they are
+    about those train views that have none in the model, or else about their mean.
     """
     final, rows = done.diagnosis.final, list[tuple[str, float, float]]()
     known, truth = final.scene.parameters, true.parameters
     told = moved_parameters(done.diagnosis)[1]
+    gains = {known.old_names.get(o, o): float(x) for o, x in zip(told.labels, final.x, strict=True) if "gain_db[" in o}
+    train = [f"effects.view_gain.gain_db[{view.name}]" for view in final.scene.views if view.role == "train"]
+    others = [name for name in train if name not in gains]
     for k, (label, x) in enumerate(zip(told.labels, final.x, strict=True)):
         name = known.old_names.get(label, label)
         if name in truth and name in known:
-            value = truth[name].value
-            if ".view_gain." in name:
-                value = value - np.mean(
-                    [truth[known.old_names.get(o, o)].value for o in told.labels if "gain_db[" in o]
-                )
-            low, high = told.interval_95(k, float(x)) - float(known[name].transform.to_coordinate(value))
+            value, level = truth[name].value, 0.0
+            if name in gains:
+                value = value - np.mean([truth[one].value for one in others or gains])
+                level = 0.0 if others else float(np.mean(list(gains.values())))
+            low, high = told.interval_95(k, float(x)) - level - float(known[name].transform.to_coordinate(value))
             rows.append((name, float(low), float(high)))
     declared = done.diagnosis.scene
     for owner, numbers in done.diagnosis.sensor.items():

@@ -321,18 +321,20 @@ def test_one_view_places_nothing() -> None:
 
 @pytest.mark.slow
 def test_a_point_reflector_is_found() -> None:
-    """Power in one pixel of each view: its place to a quarter of a pixel's diagonal, and its height to a pixel.
+    """Power in one pixel of each view is all that the images hold of it: the place falls on that pixel in each.
 
-    A pixel of slant range is a height of the spacing over the cosine of incidence. The half of that is how coarsely the
-    images hold the height; the radius of the sphere, by which its near side lies before its middle, is the other half.
+    In azimuth to a quarter of a pixel of its middle. In range to half a pixel, the radius of the sphere, by which its
+    near side lies before its middle. The point itself lies anywhere on the pixels: as far as half of one from a middle.
     """
-    (one,) = proposed(measured(plain(), (), point=(2.3, -1.7, 0.6)), CPU)
+    point = (2.3, -1.7, 0.6)
+    scene = measured(plain(), (), point=point)
+    (one,) = proposed(scene, CPU)
     assert one.values["primitive"] == "sphere"
     assert one.size == 4
-    east, north, up = one.values["position_m"]
-    assert np.hypot(east - 2.3, north + 1.7) < 0.18
-    steepest = min(incidence for _, incidence in SIDES)
-    assert abs(up + 0.25 - 0.6) * np.cos(np.radians(steepest)) < 0.5
+    middle = np.add(one.values["position_m"], (0.0, 0.0, 0.25))
+    for each in scene.views:
+        bright, found = (np.ravel(pixel_of(scene, each, np.array([place]))) for place in (point, middle))
+        assert np.all(np.abs(found - np.floor(bright) - 0.5) < (0.5, 0.25))
 
 
 @pytest.mark.slow

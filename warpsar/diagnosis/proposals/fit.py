@@ -13,7 +13,7 @@ import warp as wp
 
 from warpsar.compare.observation import Observation
 from warpsar.diagnosis.models.movable import standing
-from warpsar.learning.pose import FLAT, MOST_STEPS, PosedProblem, descend
+from warpsar.learning.pose import FLAT, MOST_STEPS, PosedProblem, descend, without_paths
 from warpsar.learning.pose_pixels import PosePixels, compared
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.results import learned_scene
@@ -89,8 +89,9 @@ class TrialGround:
     def problem(
         self, scene: Scene, blur_m: float = 0.0, views: Sequence[str] | None = None, *, rough: bool = False
     ) -> PosedProblem:
-        """The problem of a scene with an object on trial, which stays on the ground unless it is a point; `rough` as
-        `PosedProblem` has it."""
+        """The problem of a scene with an object on trial, which stays on the ground unless it is a point. `rough`:
+        beside paths over several surfaces, changes are those of single bounces, as `PosedProblem` has it; they would be
+        followed anew for each number of each shape."""
         both = self.compared(blur_m)
         seen = {name: found for name, found in both.observations.items() if views is None or name in views}
         effects = dict(both.scene.effects)
@@ -103,7 +104,7 @@ class TrialGround:
             loss=self.loss,
             level=both.level,
             standing=standing(scene),
-            rough=rough,
+            rough=rough and without_paths(scene) is not scene,
         )
         low, high = problem.bounds
         for label, least, largest in _usual(scene):
