@@ -7,9 +7,8 @@ import pytest
 from conftest import ROOT, benchmark
 
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("**/*.md"))]
-OF_A_COMMIT = re.compile(
-    r"`python (\S+\.py)[^`]*`[^`|]{1,40}\bcommit\s`(\w+)[`-]"
-)  # a command, and where its program stood
+# A command, and a commit that has its program.
+OF_A_COMMIT = re.compile(r"`python (\S+\.py)[^`]*`[^`|]{1,40}\bcommit\s`(\w+)[`-]")
 OWN = r"\b(?:benchmarks|cli|data|docs|examples|kernels|tests|warpsar)/[\w./-]*\w"
 TO_BE_WRITTEN = {"add-an-effect.md": "azimuth_drift", "add-a-model.md": "lambert"}  # what a reader of a page writes
 SOURCES = {
@@ -48,7 +47,7 @@ def test_files_of_the_project_are_there(page: Path) -> None:
 
 
 def test_programs_stood_at_the_commits_that_are_named() -> None:
-    """A table keeps its command when the program has gone: `git show COMMIT:PROGRAM` has it. A shallow clone cannot tell."""
+    """A table keeps its command when the program has gone: `git show COMMIT:PROGRAM`. Shallow clones cannot tell."""
     git = benchmark("tables").git
     named = {each for page in PAGES for each in OF_A_COMMIT.findall(page.read_text(encoding="utf-8"))}
     gone = [(program, commit) for program, commit in named if not (ROOT / program).exists()]
