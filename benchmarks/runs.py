@@ -17,6 +17,7 @@ from typing import Any
 
 import click
 import tables
+from scipy.stats import beta
 
 from warpsar.diagnosis.found import DiagnoseOptions
 from warpsar.runtime import console
@@ -57,6 +58,13 @@ def oldest(rows: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
     dates = [{key: row.get(key, tables.UNKNOWN) for key in ("date", "commit")} for row in rows]
     undated = [one for one in dates if tables.UNKNOWN in one.values()]
     return {"made": undated[0] if undated else min(dates, key=lambda one: str(one["date"]))}
+
+
+def bounds(count: int, of: int) -> str:
+    """95 % of Clopper and Pearson about a share."""
+    low = 0.0 if count == 0 else float(beta.ppf(0.025, count, of - count + 1))
+    high = 1.0 if count == of else float(beta.ppf(0.975, count + 1, of - count))
+    return f"{100 * low:.1f} to {100 * high:.1f} %"
 
 
 def append(
