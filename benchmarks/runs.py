@@ -80,7 +80,7 @@ def append(
     """`work(key, *options)` of every key that no stored run has, as a line of the folder's file; `words` of it on
     stderr.
 
-    So many `jobs` at a time, each in a fresh process; none is begun after `max_time` seconds. `key_of` a stored run.
+    So many `jobs` at a time, in processes of their own; none is begun after `max_time` seconds. `key_of` a stored run.
     """
     folder.mkdir(parents=True, exist_ok=True)
     done = {key_of(row) for row in stored(folder)}
