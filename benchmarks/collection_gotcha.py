@@ -17,7 +17,6 @@ from __future__ import annotations
 import argparse
 import csv
 import json
-import runpy
 import sys
 import tempfile
 from pathlib import Path
@@ -27,14 +26,13 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import numpy as np
 import tables
-from gotcha import MAKE_SCENE, history
-from measured_loop import half_power_width
 
 import warpsar
 from warpsar.collection.command import load_kernels
 from warpsar.collection.history import phase_history
 from warpsar.collection.plan import plan_of
 from warpsar.collection.scatterers import body_of, scatterers_of, spacing_m
+from warpsar.formats import registry
 from warpsar.formats.base.data import PhaseHistory
 from warpsar.io.figures import new, save
 from warpsar.io.ply import write_ply
@@ -45,6 +43,16 @@ HEIGHTS_M = {"ChevyMalibu": 1.46, "ToyotaCamry": 1.49, "CASEtractor": 2.6, "Hyun
 HALF_M = 4.5
 STEP_M = 0.06
 VEHICLE = {"ChevyMalibu": "car", "ToyotaCamry": "car", "CASEtractor": "truck", "HyundaiSantaFe": "car"}
+REFLECTORS = {
+    (-15.61, 21.61): 0.41,
+    (-27.81, 38.83): 0.29,
+}  # corner: leg [m], as in examples/measured/gotcha/ground.obj
+
+
+def history(data: Path, name: str) -> PhaseHistory:
+    found = registry.read([data / "gotcha" / f"data_3dsar_pass1_{name}_HH.mat"])
+    assert isinstance(found, PhaseHistory)
+    return found
 
 
 def targets(data: Path) -> list[dict[str, Any]]:
@@ -61,10 +69,9 @@ def targets(data: Path) -> list[dict[str, Any]]:
         }
         for row in rows
     ]
-    for index, one in enumerate(runpy.run_path(str(MAKE_SCENE))["read"]("objects.toml")["reflectors"]):
-        place, leg = [float(value) for value in one["corner_m"]], float(one["leg_m"])
+    for index, (place, leg) in enumerate(REFLECTORS.items(), 1):
         found.append(
-            {"name": f"reflector {index + 1}", "place_m": place, "size_m": [leg, leg, leg], "primitive": "trihedral"}
+            {"name": f"reflector {index}", "place_m": list(place), "size_m": [leg] * 3, "primitive": "trihedral"}
         )
     return found
 
@@ -152,6 +159,17 @@ def chip(seen: PhaseHistory, place: list[float], device: str | None) -> tuple[np
     return np.abs(image.astype(complex)) ** 2, along
 
 
+def half_power_width(profile: np.ndarray) -> float:
+    """Full width at half maximum [m] of a peak sampled in STEP_M, from its largest sample, linear in between."""
+    peak = int(np.argmax(profile))
+    half = profile[peak] / 2.0
+    ends = []
+    for side in (profile[peak:], profile[peak::-1]):
+        k = int(np.argmax(side < half))
+        ends.append(k - 1 + (side[k - 1] - half) / (side[k - 1] - side[k]))
+    return float(sum(ends) * STEP_M)
+
+
 def described(power: np.ndarray, along: np.ndarray, floor: float) -> dict[str, Any]:
     """Energy above a floor, its centroid (east, north) [m], the peak's place [m], and widths through it [m]."""
     over = np.maximum(power - floor, 0.0)
@@ -162,7 +180,7 @@ def described(power: np.ndarray, along: np.ndarray, floor: float) -> dict[str, A
         "centroid_m": [float((over.sum(axis=axis) * along).sum() / total) for axis in (1, 0)],
         "peak": float(power.max()),
         "peak_m": [float(along[peak[0]]), float(along[peak[1]])],
-        "widths_m": [half_power_width(power[:, peak[1]], STEP_M), half_power_width(power[peak[0]], STEP_M)],
+        "widths_m": [half_power_width(power[:, peak[1]]), half_power_width(power[peak[0]])],
     }
 
 

@@ -28,9 +28,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import limits
 import runs
 import tables
-from diagnosis_rates import CORRELATION_PX, LOOKS, SINGLE, judged, speckle, truth
-from limits import Model, NoiseFree
-from limits_withdrawn import HeldViews
+from diagnosis_rates import LOOKS, SINGLE, judged, speckle, truth
+from limits import HeldViews, Model, NoiseFree
+from towns import CORRELATION_PX
 
 from warpsar.compare.observation import Observation
 from warpsar.diagnosis.dark.evidence import Dark

@@ -29,6 +29,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import runs
 import tables
+from towns import KEYS, speckled
 
 from warpsar.diagnosis.found import DiagnoseOptions
 from warpsar.diagnosis.geometry.registry import is_geometry
@@ -40,6 +41,7 @@ from warpsar.io.images import write_tiff
 from warpsar.scene.placing import with_objects
 from warpsar.scene.scene import Scene
 from warpsar.simulation.command import simulate
+from warpsar.speckle.law import Law
 from warpsar.world.mesh import Mesh
 from warpsar.world.objects.table import Object
 from warpsar.world.tables import Grid, Material, Radar, Sampling, View
@@ -49,12 +51,10 @@ TRUTH = {
     "wall": (9.0, 0.0010, 0.006),
     "roof": (4.0, 0.0008, 0.008),
 }
-KEYS = ("eps_r", "rms_height_m", "correlation_length_m")
 START_SD = 0.25  # of ln(eps_r - 1), ln h, ln l about the truth
 CLEAN_RAYS_PER_PIXEL = 2048.0
 CLEAN_SEED = 90001
 LOOKS = (1, 4, 16)
-CORRELATION_PX = 0.7  # standard deviation of the field's Gaussian point-spread function
 # azimuth, incidence, role
 VIEWS = ((10, 38, "train"), (100, 46, "train"), (195, 52, "train"), (280, 42, "train"), (55, 48, "test"))
 
@@ -151,18 +151,9 @@ def clean_images(case: Case, device: str | None, folder: Path, name: str) -> lis
         return [stored[key] for key in stored.files]
 
 
-def speckle(random: np.random.Generator, shape: tuple[int, ...], looks: int, correlated: bool) -> np.ndarray:
+def speckle(random: np.random.Generator, shape: tuple[int, int], looks: int, correlated: bool) -> np.ndarray:
     """Gamma speckle of mean 1, white or that of fields with a Gaussian point-spread function."""
-    if not correlated:
-        return random.gamma(looks, 1.0 / looks, shape)
-    from scipy.ndimage import gaussian_filter
-
-    fields = random.standard_normal((2 * looks, *shape))
-    fields = gaussian_filter(fields, (0.0, CORRELATION_PX, CORRELATION_PX), mode="wrap")
-    impulse = np.zeros(shape)
-    impulse[0, 0] = 1.0
-    power = float((gaussian_filter(impulse, CORRELATION_PX, mode="wrap") ** 2).sum())
-    return np.asarray((fields**2).mean(axis=0) / power)
+    return speckled(random, Law(looks), shape, correlated)
 
 
 def measured(images: Sequence[np.ndarray], looks: int, correlated: bool, seed: int, folder: Path) -> Scene:

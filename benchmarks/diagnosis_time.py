@@ -4,7 +4,8 @@
     python benchmarks/diagnosis_time.py table -o out/diagnosis_time [--write]
 
 A CASE is a folder with a scene.toml. Each runs in a process of its own and leaves a JSON file. CPU seconds are those of
-all threads: they depend less on what else a machine does than wall seconds. docs/diagnosis-rates.md has the table.
+all threads: they depend less on what else a machine does than wall seconds. What `diagnose` announces before it begins,
+for as many effects as were then found, stands beside the time that it took. docs/diagnosis-rates.md has the table.
 """
 
 import json
@@ -27,6 +28,7 @@ import tables
 
 from warpsar.diagnosis import command
 from warpsar.diagnosis.search import loop, procedure
+from warpsar.diagnosis.search.procedure import DiagnosisForecast
 from warpsar.learning.problem import FitProblem
 from warpsar.runtime import devices, threads
 
@@ -111,9 +113,17 @@ def one_case(case: Path, out: Path, device: str) -> dict[str, Any]:
             wrapped(holder, name, timed(phase))
     for what, (holder, name) in WORK.items():
         wrapped(holder, name, counted(what))
+    announced: list[tuple[DiagnosisForecast | None, float]] = []
+
+    def forecast(call: Callable[[], Any]) -> Any:
+        announced.append((call(), time.perf_counter()))
+        return announced[-1][0]
+
+    wrapped(procedure, "forecast", forecast)
     started = now()
     content = command.run(case / "scene.toml", out / case.name, device=device)
     whole = [b - a for a, b in zip(started, now(), strict=True)]
+    ((expected, since),) = announced
     return {
         "case": case.name,
         "verdict": content["verdict"],
@@ -124,6 +134,8 @@ def one_case(case: Path, out: Path, device: str) -> dict[str, Any]:
         "load": os.getloadavg()[0],
         "wall_s": whole[0],
         "cpu_s": whole[1],
+        "said_s": expected and expected.nothing_s + len(content["steps"]) * expected.effect_s,
+        "took_s": time.perf_counter() - since,
         "phases": {phase: {"wall_s": wall[phase], "cpu_s": cpu[phase]} for phase in PHASES},
         "work": dict(work),
         "made": tables.made(),
@@ -135,41 +147,33 @@ def main() -> None:
     """Time `warpsar diagnose`."""
 
 
-def add_run(group: click.Group, script: str, one_case: Callable[[Path, Path, str], dict[str, Any]]) -> None:
-    """The command `run` of a `script` that diagnoses cases: each in a process of its own, which leaves a JSON file."""
-
-    @group.command()
-    @click.argument("cases", nargs=-1, required=True, type=runs.FOLDER)
-    @out_option(script)
-    @click.option("--device", default="cpu", show_default=True)
-    def run(cases: tuple[Path, ...], out: Path, device: str) -> None:
-        """Diagnose each of CASES in a process of its own."""
-        out.mkdir(parents=True, exist_ok=True)
-        if len(cases) > 1:
-            for case in cases:
-                command = [sys.executable, script, "run", str(case), "-o", str(out), "--device", device]
-                subprocess.run(command, check=True)
-            return
-        result = one_case(cases[0], out, device)
-        tables.save(out / f"{cases[0].name}.{device.partition(':')[0]}.json", result)
-        print(json.dumps(result))
-
-
-def out_option(script: str) -> Any:
-    """-o, by default the folder of out/ that is called as the script."""
-    return click.option("-o", "--out", default=f"out/{Path(script).stem}", show_default=True, type=runs.FOLDER)
-
-
-add_run(main, __file__, one_case)
+out_option = click.option("-o", "--out", default="out/diagnosis_time", show_default=True, type=runs.FOLDER)
 
 
 @main.command()
-@out_option(__file__)
+@click.argument("cases", nargs=-1, required=True, type=runs.FOLDER)
+@out_option
+@click.option("--device", default="cpu", show_default=True)
+def run(cases: tuple[Path, ...], out: Path, device: str) -> None:
+    """Diagnose each of CASES in a process of its own."""
+    out.mkdir(parents=True, exist_ok=True)
+    if len(cases) > 1:
+        for case in cases:
+            words = [sys.executable, __file__, "run", str(case), "-o", str(out), "--device", device]
+            subprocess.run(words, check=True)
+        return
+    result = one_case(cases[0], out, device)
+    tables.save(out / f"{cases[0].name}.{device.partition(':')[0]}.json", result)
+    print(json.dumps(result))
+
+
+@main.command()
+@out_option
 @runs.write
 def table(out: Path, write: bool) -> None:
     """The runs in OUT as a table."""
     stored = sorted((tables.stored(path) for path in out.glob("*.json")), key=lambda one: (one["device"], one["cpu_s"]))
-    header = ["case", "device", "found", "wall", "CPU", *PHASES, "Jacobians", "images"]
+    header = ["case", "device", "found", "wall", "CPU", *PHASES, "Jacobians", "images", "announced", "took"]
     rows = [
         [
             one["case"],
@@ -179,6 +183,8 @@ def table(out: Path, write: bool) -> None:
             *(f"{one['phases'][phase]['cpu_s']:.1f} s" for phase in PHASES),
             one["work"]["jacobians"],
             one["work"]["images"],
+            "" if one["said_s"] is None else f"{one['said_s']:.0f} s",
+            f"{one['took_s']:.0f} s",
         ]
         for one in stored
     ]

@@ -23,8 +23,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import runs
 import tables
-from judgement_rates import bounds, with_images
+from runs import bounds
 from search_rates import group_of, kinds_of, started, visible
+from towns import with_images
 
 from warpsar.learning.identify import identify
 from warpsar.learning.optimise import FitState, levenberg_marquardt

@@ -4,9 +4,9 @@
     python benchmarks/measured_costs.py table -o costs [--write]
 
 The shell block of a README runs as it stands, in a copy of its folder, with $DATA as the README says. A stand-in for
-`warpsar` runs each command, with --device, and notes wall time, CPU seconds of all threads, and the most memory; on a
-GPU also the most of its memory that is in use, beside what was before. A run appends lines of JSON to runs.jsonl in the
-folder; a study that stands there for a device is not run again. The table has the newest rows of each device.
+`warpsar` runs each command, with --device, and notes wall time, CPU seconds of all threads, and the most memory. A run
+appends lines of JSON to runs.jsonl in the folder; a study that stands there for a device is not run again. A command
+that a study gives again, as `import` once for each view, has one row: its times are added.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from __future__ import annotations
 import json
 import os
 import re
+import resource
 import shutil
 import subprocess
 import sys
 import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from threading import Event, Thread
 from typing import Any
 
 import click
@@ -36,7 +36,6 @@ SHELL = re.compile(r"^```sh\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 FOLDER = re.compile(r"`\$DATA`\s+is\s+the\s+folder\s+`(\w+)`")
 FINE = (0, 4)  # of a command: done, and `diagnose` left a part unexplained
 LOG, DEVICE = "MEASURED_COSTS_LOG", "MEASURED_COSTS_DEVICE"
-SECONDS = 0.2  # between two looks at a GPU's memory
 GIB = 2**20  # in KiB
 
 
@@ -60,52 +59,34 @@ def label(words: list[str]) -> str:
     return words[0] if Path(scene).name == "scene.toml" else f"{words[0]} {scene}"
 
 
-def device_mib() -> float:
-    """Memory in use on the first GPU [MiB]; 0 where nobody can tell."""
-    try:
-        told = subprocess.run(
-            ["nvidia-smi", "--query-gpu=memory.used", "--format=csv,noheader,nounits", "--id=0"],
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-    except (OSError, subprocess.CalledProcessError):
-        return 0.0
-    return float(told.stdout.split()[0])
-
-
 def stand_in(words: list[str]) -> int:
     """Run one command of warpsar, and append what it cost to the log. Returns its exit status."""
-    device = os.environ[DEVICE]
-    on_gpu = device.startswith("cuda")
-    before, most, done = device_mib() if on_gpu else 0.0, [0.0], Event()
-
-    def look() -> None:
-        while not done.wait(SECONDS):
-            most[0] = max(most[0], device_mib() - before)
-
-    watch = Thread(target=look)
-    if on_gpu:
-        watch.start()
     begun = time.perf_counter()
-    process = subprocess.Popen([sys.executable, "-m", "warpsar", *words, "--device", device])
-    _, status, used = os.wait4(process.pid, 0)
-    wall_s = time.perf_counter() - begun
-    process.returncode = code = os.waitstatus_to_exitcode(status)
-    done.set()
-    if on_gpu:
-        watch.join()
+    device = os.environ[DEVICE]
+    code = subprocess.run([sys.executable, "-m", "warpsar", *words, "--device", device], check=False).returncode
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
     row = {
         "command": label(words),
         "exit_status": code,
-        "wall_s": wall_s,
+        "wall_s": time.perf_counter() - begun,
         "cpu_s": used.ru_utime + used.ru_stime,
         "peak_gib": used.ru_maxrss / GIB,
-        "device_gib": most[0] / 1024.0,
     }
     with Path(os.environ[LOG]).open("a") as log:
         log.write(json.dumps(row) + "\n")
     return code
+
+
+def added(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """One row for each command: its times are added, its memory is the most."""
+    found: dict[str, dict[str, Any]] = {}
+    for row in rows:
+        one = found.setdefault(
+            row["command"], {"command": row["command"], "wall_s": 0.0, "cpu_s": 0.0, "peak_gib": 0.0}
+        )
+        one |= {key: one[key] + row[key] for key in ("wall_s", "cpu_s")}
+        one["peak_gib"] = max(one["peak_gib"], row["peak_gib"])
+    return list(found.values())
 
 
 def one_run(key: tuple[str, str], data: str) -> dict[str, Any]:
@@ -130,7 +111,7 @@ def one_run(key: tuple[str, str], data: str) -> dict[str, Any]:
     failed = [row["command"] for row in rows if row["exit_status"] not in FINE]
     if failed or not rows:
         raise RuntimeError(f"{name}: failed: {', '.join(failed) or 'no command ran'}")
-    return {"study": name, "asked_device": device, "commands": rows, **machine(device)}
+    return {"study": name, "asked_device": device, "commands": added(rows), **machine(device)}
 
 
 def words_of(row: runs.Row) -> str:
@@ -160,24 +141,19 @@ def run(data: str, out: Path, only: tuple[str, ...], device: str) -> None:
 def table(out: Path, write: bool) -> None:
     """The costs of the runs that are there."""
     rows = runs.stored(out)
-    devices = sorted({row["asked_device"] for row in rows}, key=lambda one: (one != "cpu", one))
-    found = {(row["study"], row["asked_device"], one["command"]): one for row in rows for one in row["commands"]}
-    head = ["study", "command"]
-    for device in devices:
-        of = "CPU" if device == "cpu" else "GPU"
-        head += [f"{of}: wall, s", "CPU, s", "memory, GiB", *(["on the GPU, GiB"] if device != "cpu" else [])]
-    body = []
-    for study, command in dict.fromkeys((row["study"], one["command"]) for row in rows for one in row["commands"]):
-        line: list[str] = [study, f"`{command}`"]
-        for device in devices:
-            one = found.get((study, device, command))
-            forms = {"wall_s": ".0f", "cpu_s": ".0f", "peak_gib": ".2f"}
-            forms |= {"device_gib": ".2f"} if device != "cpu" else {}
-            line += ["" if one is None else f"{one[key]:{form}}" for key, form in forms.items()]
-        body.append(line)
-    machines = dict.fromkeys(said(row) for row in sorted(rows, key=lambda row: devices.index(row["asked_device"])))
-    text = f"{'; '.join(machines)}.\n\n{tables.markdown(head, body)}"
-    tables.publish({"measured_costs": text}, runs.oldest(rows), write)
+    head = ["study", "command", "machine", "wall, s", "CPU, s", "memory, GiB"]
+    lines = [
+        [
+            row["study"],
+            f"`{one['command']}`",
+            said(row),
+            *(f"{one[k]:.0f}" for k in ("wall_s", "cpu_s")),
+            f"{one['peak_gib']:.2f}",
+        ]
+        for row in sorted(rows, key=lambda row: (row["study"], row["asked_device"]))
+        for one in row["commands"]
+    ]
+    tables.publish({"measured_costs": tables.markdown(head, lines)}, runs.oldest(rows), write)
 
 
 if __name__ == "__main__":

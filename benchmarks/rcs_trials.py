@@ -13,22 +13,25 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import rcs_dipoles as dipoles
-import rcs_materials as materials
 import rcs_revolved as revolved
 import tables
 from numpy.typing import NDArray
 
 import warpsar
+from warpsar.curves.materials import MaterialTest
 from warpsar.curves.noise import share_of
 from warpsar.diagnosis.curve_materials import ask
 from warpsar.simulation.outputs import plain
+from warpsar.world.curve import Curve
 from warpsar.world.frame import SPEED_OF_LIGHT
+from warpsar.world.world import NO_IMAGE
 
 METAL_HZ, PLASTIC_HZ = (6e9, 8e9, 10e9), (3.5e9, 5e9, 6.5e9)
 AROUND = 96
@@ -44,6 +47,86 @@ BLOCKS = {"long-block": ((0.096, 0.06, 0.048), 2.5), "upright-block": ((0.06, 0.
 CUBE_M = 0.003
 LOSS = 0.03
 ERROR_DB, UNDER_DB = 0.2, 25.0
+SECTOR_DEG = 20.0
+RESIN_EPS = 2.92  # declared for bodies of metal
+METAL = warpsar.Material(conductor=True)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A body as its solver has it, and as declared."""
+
+    measured: str
+    declared: str
+    right: str | None
+    """The kind that is to be named or tied; None where nothing is."""
+    scene: warpsar.Scene
+
+
+def scene_of(mesh: warpsar.Mesh, material: warpsar.Material, folder: Path) -> warpsar.Scene:
+    """A body in space beside its curves."""
+    terms = ("single", "edges", "multibounce", *(() if material.conductor else ("transmission",)))
+    radar = warpsar.Radar(frequency_hz=5.125e9, polarizations=("HH", "VV"), terms=terms)
+    curves = tuple(Curve(file=path) for path in sorted(folder.glob("meas_rcs.*")))
+    materials = dict.fromkeys(mesh.materials, material)
+    return warpsar.Scene(mesh=mesh, radar=radar, grid=NO_IMAGE, materials=materials, views=[], curves=curves)
+
+
+def held_back(scene: warpsar.Scene) -> Iterator[tuple[str, warpsar.Scene]]:
+    """The scene with other curves as test, each with words for what these are. All other curves are train."""
+
+    def chosen(curves: Iterable[Curve]) -> warpsar.Scene:
+        return replace(scene, curves=tuple(curves))
+
+    each = {one: float(np.loadtxt(one.file, max_rows=1)[0]) for one in scene.curves}
+    for test in sorted(set(each.values())):
+        roles = {one: "test" if frequency == test else "train" for one, frequency in each.items()}
+        yield f"{test / 1e9:.3g} GHz", chosen(one.model_copy(update={"role": role}) for one, role in roles.items())
+    halves = {role: sectors(first) for first, role in enumerate(("train", "test"))}
+    yield (
+        "sectors",
+        chosen(
+            one.model_copy(update={"role": role, "mask": mask}) for one in scene.curves for role, mask in halves.items()
+        ),
+    )
+
+
+def sectors(first: int) -> list[tuple[float, float]]:
+    """Every second sector from -90 to 90 degrees."""
+    starts = np.arange(-90.0 + first * SECTOR_DEG, 90.0, 2.0 * SECTOR_DEG).tolist()
+    return [(start, min(start + SECTOR_DEG - 0.01, 90.0)) for start in starts]
+
+
+def counted(rows: Sequence[dict[str, Any]]) -> str:
+    """A line for each body and declaration: what was answered with which curves held back."""
+    lines = []
+    for measured, declared in dict.fromkeys((row["measured"], row["declared"]) for row in rows):
+        mine = [row for row in rows if (row["measured"], row["declared"]) == (measured, declared)]
+        good = [row["held_back"] for row in mine if row["right"]]
+        bad = [f"{row['held_back']}: {row['answer']}" for row in mine if not row["right"]]
+        wanted = mine[0]["wanted"] or "nothing"
+        lines.append((measured, declared, wanted, f"{len(good)} of {len(mine)}", "; ".join(bad) or "none"))
+    for what, some in (
+        ("declared wrongly", [row for row in rows if row["wanted"]]),
+        ("declared as they are", [row for row in rows if not row["wanted"]]),
+    ):
+        right = sum(row["right"] for row in some)
+        lines.append((what, "", "", f"{right} of {len(some)}", ""))
+    return tables.markdown(("measured", "declared", "to be found", "right", "wrong answers"), lines)
+
+
+def row_of(case: Case, what: str, asked: Sequence[MaterialTest]) -> dict[str, Any]:
+    """For JSON and `counted`: what was answered with `what` held back, and whether it is what is there."""
+    said = [one for one in asked if one.outcome in ("named", "tied")]
+    return {
+        "measured": case.measured,
+        "declared": case.declared,
+        "held_back": what,
+        "answer": f"{said[0].outcome}: " + "; ".join(f"{one.part}, {one.kind}" for one in said) if said else "nothing",
+        "wanted": case.right,
+        "right": any(one.kind == case.right for one in said) if case.right else not said,
+        "asked": [asdict(one) for one in asked],
+    }
 
 
 def metal_m2(name: str, frequency: float, phi: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -97,7 +180,7 @@ def lying(outline: list[tuple[float, float]]) -> warpsar.Mesh:
     return warpsar.Mesh.of(made.vertices[:, [2, 0, 1]], made.faces)
 
 
-def cases(out: Path, only: str) -> Iterator[materials.Case]:
+def cases(out: Path, only: str) -> Iterator[Case]:
     for name in (*OUTLINES, *BLOCKS):
         plastic = name in BLOCKS
         if only not in name:
@@ -105,14 +188,12 @@ def cases(out: Path, only: str) -> Iterator[materials.Case]:
         folder = out / "curves" / name
         write(folder / "measured", name, plastic)
         mesh = block(BLOCKS[name][0]) if plastic else lying(OUTLINES[name])
-        eps = BLOCKS[name][1] if plastic else materials.RESIN_EPS
+        eps = BLOCKS[name][1] if plastic else RESIN_EPS
         resin = warpsar.Material(eps_r=(eps, -LOSS * eps), rms_height_m=0.0)
         of = "plastic" if plastic else "metal"
-        for declared, material in (("metal", materials.METAL), ("plastic", resin)):
-            right = None if declared == of else ({"metal": "metal", "plastic": "dielectric"}[of], "")
-            table = dict.fromkeys(mesh.materials, material)
-            scene = materials.scene_of(mesh, table, folder, name)
-            yield materials.Case(f"{name} of {of}", declared, right, scene)
+        for declared, material in (("metal", METAL), ("plastic", resin)):
+            right = None if declared == of else {"metal": "metal", "plastic": "dielectric"}[of]
+            yield Case(f"{name} of {of}", declared, right, scene_of(mesh, material, folder / "measured"))
 
 
 def main() -> int:
@@ -129,10 +210,10 @@ def main() -> int:
         result["rows"] = json.loads(path.read_text())["rows"]
     there = {(row["measured"], row["declared"], row["held_back"]) for row in result["rows"]}
     for case in cases(options.out, options.only):
-        for what, scene in materials.held_back(case, options.out, options.out):
+        for what, scene in held_back(case.scene):
             if (case.measured, case.declared, what) in there:
                 continue
-            row = materials.row_of(case, what, ask(scene, options.out / "cache", parts=case.parts))
+            row = row_of(case, what, ask(scene, options.out / "cache"))
             result["rows"].append(row)
             path.write_text(json.dumps(plain(result), indent=1) + "\n", encoding="utf-8")
             print(case.measured, case.declared, what, row["answer"], "right" if row["right"] else "wrong", sep="; ",
@@ -146,7 +227,7 @@ def main() -> int:
         if one["kind"] == "dielectric" and one["eps_r"]
     ]
     print(f"eps_r of plastic: inside its interval in {sum(inside)} of {len(inside)}")
-    tables.publish({"rcs_trials": materials.counted(result["rows"])}, result, options.write)
+    tables.publish({"rcs_trials": counted(result["rows"])}, result, options.write)
     return 0
 
 

@@ -32,8 +32,6 @@ MEASURES = {
     "experiments.table6": (*DEFAULT, "data/table4"),
     "experiments.in_domain": (*DEFAULT, "data/in_domain"),
     "experiments.fields": (*DEFAULT, "data/fields"),
-    "gotcha": (*DEFAULT, "data/gotcha"),
-    "hostile": (*DEFAULT, "cli"),
     "forecast": (*DEFAULT, "cli", "data/example"),
     "startup": (*DEFAULT, "cli", "data/example"),
     "effects": (*DEFAULT, "data/example"),

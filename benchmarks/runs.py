@@ -17,6 +17,7 @@ from typing import Any
 
 import click
 import tables
+from scipy.stats import beta
 
 from warpsar.diagnosis.found import DiagnoseOptions
 from warpsar.runtime import console
@@ -59,6 +60,13 @@ def oldest(rows: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
     return {"made": undated[0] if undated else min(dates, key=lambda one: str(one["date"]))}
 
 
+def bounds(count: int, of: int) -> str:
+    """95 % of Clopper and Pearson about a share."""
+    low = 0.0 if count == 0 else float(beta.ppf(0.025, count, of - count + 1))
+    high = 1.0 if count == of else float(beta.ppf(0.975, count + 1, of - count))
+    return f"{100 * low:.1f} to {100 * high:.1f} %"
+
+
 def append(
     folder: Path,
     keys: Iterable[Any],
@@ -72,7 +80,7 @@ def append(
     """`work(key, *options)` of every key that no stored run has, as a line of the folder's file; `words` of it on
     stderr.
 
-    So many `jobs` at a time, each in a fresh process; none is begun after `max_time` seconds. `key_of` a stored run.
+    So many `jobs` at a time, in processes of their own; none is begun after `max_time` seconds. `key_of` a stored run.
     """
     folder.mkdir(parents=True, exist_ok=True)
     done = {key_of(row) for row in stored(folder)}

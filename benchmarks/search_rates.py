@@ -3,7 +3,7 @@
     python benchmarks/search_rates.py run -o out/search --scenes 300
     python benchmarks/search_rates.py table -o out/search [--write]
 
-Scenes are those of judgement_rates.py: ground with two to four buildings, three to six views, 1 to 16 looks, white or
+Scenes are those of towns.py: ground with two to four buildings, three to six views, 1 to 16 looks, white or
 correlated speckle, materials that start beside the truth. In a third of them nothing is wrong. In a third, one to three
 things are that the search has a name for. In a third, something is wrong that no hypothesis describes; it is made here,
 by code that the library does not share. What is wrong must be seen: without it, images without speckle differ by 2 ln L
@@ -29,7 +29,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import runs
 import tables
-from judgement_rates import (
+from runs import bounds
+from towns import (
     KEYS,
     SEEN,
     SHARING,
@@ -37,7 +38,6 @@ from judgement_rates import (
     Drawn,
     as_it_is,
     base,
-    bounds,
     laws,
     moved,
     patch_of_ground,

@@ -27,8 +27,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import runs
 import tables
-from judgement_rates import Drawn, as_it_is, laws, seen, with_images
 from search_rates import block, clean_images
+from towns import Drawn, as_it_is, laws, seen, with_images
 
 from warpsar.diagnosis.command import in_short
 from warpsar.diagnosis.found import DiagnoseOptions

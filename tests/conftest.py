@@ -17,6 +17,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 # A first launch compiles its kernels: no example's time says anything.
 hypothesis.settings.register_profile("warpsar", deadline=None)
+hypothesis.settings.register_profile("long", deadline=None, max_examples=2000)  # --hypothesis-profile long
 hypothesis.settings.load_profile("warpsar")
 
 

@@ -29,6 +29,16 @@ def test_a_command_in_short(costs: Any) -> None:
     assert costs.label(["diagnose", "plate.toml", "-o", "diagnosed_plate"]) == "diagnose plate.toml"
 
 
+def test_times_of_a_command_that_is_given_again_are_added(costs: Any) -> None:
+    rows = [
+        {"command": name, "wall_s": k, "cpu_s": 2 * k, "peak_gib": k}
+        for name, k in [("import", 2), ("learn", 5), ("import", 1)]
+    ]
+    of_import, of_learn = costs.added(rows)
+    assert of_import == {"command": "import", "wall_s": 3, "cpu_s": 6, "peak_gib": 2}
+    assert of_learn == rows[1]
+
+
 @pytest.mark.parametrize(("words", "status"), [(["evaluate", "--help"], 0), (["evaluate", "no such scene.toml"], 2)])
 def test_a_command_is_measured(
     costs: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], status: int

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import json
+import shutil
+import zipfile
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from conftest import ROOT
 
 import warpsar
 from warpsar.cli.main import main
+from warpsar.diagnosis import curves
 
 HEAD = """
 [scene]
@@ -167,3 +171,31 @@ def test_nothing_to_learn_is_said(tmp_path: Path) -> None:
     done = CliRunner().invoke(main, ["learn", str(path), "-o", str(tmp_path / "out")])
     assert done.exit_code == 2
     assert "nothing to learn from curves" in done.stderr
+
+
+@pytest.mark.measured
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("body", "verdict"),
+    [
+        ("plate", ["edge_diffraction"]),
+        ("box", ["edge_diffraction"]),
+        ("cobra", ["edge_diffraction"]),
+        ("cylinder", ["edge_diffraction", "multibounce"]),
+    ],
+)
+def test_measured_boxes_tell_what_each_has(
+    measured_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, body: str, verdict: list[str]
+) -> None:
+    """The scene files of examples/measured/boxes, asked for terms alone: other materials take most of the time."""
+    suite, folder = measured_data / "austin_rcs", tmp_path / "boxes"
+    if not suite.is_dir():
+        pytest.skip(f"no folder austin_rcs in {measured_data}")
+    shutil.copytree(ROOT / "examples" / "measured" / "boxes", folder)
+    for path in (suite / "measured").glob("meas_rcs.II*"):
+        (folder / path.name).symlink_to(path)
+    for path in suite.glob("*_duct_s6_stl.zip"):
+        with zipfile.ZipFile(path) as archive:
+            archive.extractall(folder)
+    monkeypatch.setattr(curves, "ask", lambda *_: [])
+    assert curves.diagnose_curves(warpsar.Scene.load(folder / f"{body}.toml"), tmp_path).verdict == verdict

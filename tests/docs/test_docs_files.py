@@ -4,9 +4,11 @@ import re
 from pathlib import Path
 
 import pytest
+from conftest import ROOT, benchmark
 
-ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("**/*.md"))]
+# A command, and a commit that has its program.
+OF_A_COMMIT = re.compile(r"`python (\S+\.py)[^`]*`[^`|]{1,40}\bcommit\s`(\w+)[`-]")
 OWN = r"\b(?:benchmarks|cli|data|docs|examples|kernels|tests|warpsar)/[\w./-]*\w"
 TO_BE_WRITTEN = {"add-an-effect.md": "azimuth_drift", "add-a-model.md": "lambert"}  # what a reader of a page writes
 SOURCES = {
@@ -36,12 +38,22 @@ def plain(text: str) -> str:
 
 @pytest.mark.parametrize("page", PAGES, ids=name)
 def test_files_of_the_project_are_there(page: Path) -> None:
-    # after a folder or a variable it is another file's name
-    named = re.findall(rf"(?<![\w/$.-]){OWN}", plain(page.read_text(encoding="utf-8")))
+    text = OF_A_COMMIT.sub("", plain(page.read_text(encoding="utf-8")))
+    named = re.findall(rf"(?<![\w/$.-]){OWN}", text)  # after a folder or a variable it is another file's name
     if page.name in TO_BE_WRITTEN:
         named = [each for each in named if TO_BE_WRITTEN[page.name] not in each and not each.endswith("/test_")]
     missing = [each for each in named if not (ROOT / each).exists() and not (page.parent / each).exists()]
     assert missing == []
+
+
+def test_programs_stood_at_the_commits_that_are_named() -> None:
+    """A table keeps its command when the program has gone: `git show COMMIT:PROGRAM`. Shallow clones cannot tell."""
+    git = benchmark("tables").git
+    named = {each for page in PAGES for each in OF_A_COMMIT.findall(page.read_text(encoding="utf-8"))}
+    gone = [(program, commit) for program, commit in named if not (ROOT / program).exists()]
+    known = [each for each in gone if git(ROOT, "cat-file", "-e", f"{each[1]}^{{commit}}") is not None]
+    assert gone
+    assert [each for each in known if git(ROOT, "cat-file", "-e", f"{each[1]}:{each[0]}") is None] == []
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name)

@@ -1,7 +1,7 @@
 """Hostile files end in one message, or are read, and in nothing else; and no code here can load a pickle.
 
-`benchmarks/hostile.py` is the long run; here are all its crafted attacks, and mutations of which Hypothesis makes every
-choice, so that what goes wrong comes out as small as it can be.
+`hostile/` has crafted attacks, and strategies of mutations, so that what goes wrong comes out as small as it can be.
+`--hypothesis-profile long` tries more of them.
 """
 
 import ast
@@ -17,13 +17,15 @@ from collections import Counter
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
-from random import Random
 from typing import Any
 
 import numpy as np
 import pytest
-from conftest import ROOT, benchmark
-from hypothesis import given, settings
+from conftest import ROOT
+from hostile.readers import readers
+from hostile.sound import gltf
+from hostile.worker import Worker, contents, exhausted, judge
+from hypothesis import given
 from hypothesis import strategies as st
 
 from warpsar.errors import LONGEST_MESSAGE, InputError, shown
@@ -34,84 +36,61 @@ from warpsar.kernels.lane_kernels import at_once
 from warpsar.kernels.scatter import scatter_kernel
 from warpsar.world.mesh import read_mesh
 
-MUTATIONS = 120  # of the readers' files
-MEMORY_IS_MEASURED = pytest.mark.skipif(
-    not Path("/proc/self/clear_refs").exists(), reason="memory is measured as Linux counts it"
-)
 
-
-def module(name: str) -> Any:
-    """A script of benchmarks/, imported beside its neighbours; what makes the sound files needs every extra."""
-    for extra in ("rasterio", "sarkit", "h5py"):
+@pytest.fixture(scope="module")
+def worker() -> Iterator[Worker]:
+    """A process under a limit on its memory that reads what it is given: hostile/worker.py says what is looked at."""
+    for extra in ("rasterio", "sarkit", "h5py"):  # they make the sound files
         pytest.importorskip(extra, reason="needs the extras geo, sicd and hdf5")
-    return benchmark(name)
+    if not Path("/proc/self/clear_refs").exists():
+        pytest.skip("memory is measured as Linux counts it")
+    one = Worker()
+    yield one
+    one.stop()
 
 
 # ---- all readers ----
 
 
-@pytest.fixture(scope="module")
-def worker() -> Iterator[Any]:
-    """A process under a limit on its memory that reads what it is given: `benchmarks/hostile.py` says all that is
-    looked at."""
-    hostile = module("hostile")
-    hostile.TIME_S = 120.0  # a hang never ends, and a machine with other work is slow
-    one = hostile.Worker()
-    yield one
-    one.stop()
-
-
-def outcome_of(result: dict[str, Any]) -> str:
-    """What became of a case, which must be nothing bad."""
-    outcome = str(result["outcome"])
-    said = f"{result['reader']} {result['index']} ({result['attack']}): {outcome}: {result['detail'][-500:]}"
-    assert outcome in module("hostile").GOOD, said
-    return outcome
-
-
-@MEMORY_IS_MEASURED
-def test_every_attack_ends_in_one_message(worker: Any) -> None:
-    cases = module("hostile_cases")
-    todo = [(one.name, i) for one in cases.readers().values() for i in range(len(one.attacks) + len(cases.PLACES))]
-    counts = Counter(outcome_of(worker.run(name, index, 7)) for name, index in todo)
+def test_every_attack_ends_in_one_message(worker: Worker) -> None:
+    todo = [(one.name, i) for one in readers().values() for i in range(len(one.attacks))]
+    counts = Counter(worker.run(name, i) for name, i in todo)
     assert counts["refused"] > 500  # of 558: attacks that reach no reader would show here
 
 
 @pytest.mark.full
-@MEMORY_IS_MEASURED
-def test_every_mutation_is_read_or_ends_in_one_message(worker: Any) -> None:
+def test_every_mutation_is_read_or_ends_in_one_message(worker: Worker) -> None:
     """What is read is read with all that follows: pictures, tables, a scene that is written and read again."""
-    readers, counts = module("hostile_cases").readers(), Counter[str]()
+    counts = Counter[str]()
 
-    @settings(max_examples=MUTATIONS)
-    @given(name=st.sampled_from(sorted(readers)), choices=st.randoms(use_true_random=False))
-    def mutated(name: str, choices: Random) -> None:
-        counts[outcome_of(worker.run(name, -1, 0, readers[name].mutated(choices)))] += 1
+    @given(data=st.data(), name=st.sampled_from(sorted(readers())))
+    def mutated(data: st.DataObject, name: str) -> None:
+        counts[worker.run(name, data.draw(readers()[name].mutations()))] += 1
 
     mutated()
-    assert min(counts["refused"], counts["read"]) > 0  # neither is the answer to all; six to twenty of 120 are read
+    print(f"\n{counts['read']} were read, {counts['refused']} refused")
+    assert min(counts["refused"], counts["read"]) > 0  # neither is the answer to all
 
 
 def test_the_judge_sees_what_is_wrong(tmp_path: Path) -> None:
     """What a reader may do wrong is told from a refusal, so that the table's zeros mean something."""
-    hostile = module("hostile")
     file = tmp_path / "a"
     file.write_text("a")
-    before = hostile._contents(tmp_path)
+    before = contents(tmp_path)
     sound = InputError(f"{file}: broken")
 
     def outcome(error: Exception | None, said: str = "") -> str:
-        return str(hostile._judge(error, said, tmp_path, before)[0])
+        return str(judge(error, said, tmp_path, before)[0])
 
     assert outcome(None) == "read"
     assert outcome(sound) == "refused"
     assert outcome(sound, "libpng error: broken") == "noisy"
     assert outcome(KeyError("x")) == "traceback"
     assert outcome(InputError("broken")) == "unclear"
-    assert hostile._exhausted(InputError("x")) is False
+    assert exhausted(InputError("x")) is False
     hidden = InputError("x")
     hidden.__cause__ = MemoryError()
-    assert hostile._exhausted(hidden)
+    assert exhausted(hidden)
     (tmp_path / ".half").write_text("")
     assert outcome(sound) == "half-written"
 
@@ -121,13 +100,12 @@ def test_the_judge_sees_what_is_wrong(tmp_path: Path) -> None:
     ("reader", "attack"),
     [("scene.toml", "a FIFO"), ("mesh glTF", "a buffer that is /dev/zero"), ("mask PNG", "2^31 x 2^31 pixels")],
 )
-def test_the_command_line_refuses_in_one_line(tmp_path: Path, reader: str, attack: str) -> None:
-    cases = module("hostile_cases")
-    chosen = cases.readers()[reader]
+def test_the_command_line_refuses_in_one_line(worker: Worker, tmp_path: Path, reader: str, attack: str) -> None:
+    chosen = readers()[reader]
     folder = tmp_path / "case"
     chosen.lay_out(folder)
-    next(a for a in (*chosen.attacks, *cases.PLACES) if a.name == attack).make(folder / chosen.target)
-    words = [sys.executable, "-m", "warpsar", *chosen.command(folder)]
+    next(one for one in chosen.attacks if one.name == attack).make(folder / chosen.target)
+    words = [sys.executable, "-m", "warpsar", "simulate", str(folder / "scene.toml"), "-o", str(folder / "out")]
     done = subprocess.run(words, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 2, done.stderr
     assert done.stdout == ""
@@ -323,23 +301,22 @@ def test_an_image_of_another_shape_is_not_unpacked(tmp_path: Path) -> None:
     tracemalloc.stop()
 
 
-def _gltf(files: Any, folder: Path, uri: str) -> Path:
+def _gltf(folder: Path, uri: str) -> Path:
     path = folder / "a.gltf"
-    path.write_bytes(files.gltf(buffers=[{"byteLength": 48, "uri": uri}]))
+    path.write_bytes(gltf(buffers=[{"byteLength": 48, "uri": uri}]))
     return path
 
 
 def test_gltf_buffers_lie_beside_it_or_nowhere(tmp_path: Path) -> None:
-    files = module("hostile_files")
     corners = np.array([[0, 0, 0], [9, 0, 0], [9, 0, -9]], "<f4").tobytes()
     (tmp_path / "scene").mkdir()
     for place in (tmp_path, tmp_path / "scene"):
         (place / "a.bin").write_bytes(corners + struct.pack("<III", 0, 1, 2))
-    assert len(read_mesh(_gltf(files, tmp_path / "scene", "a.bin")).faces) == 1
+    assert len(read_mesh(_gltf(tmp_path / "scene", "a.bin")).faces) == 1
     (tmp_path / "scene" / "link.bin").symlink_to(tmp_path / "a.bin")
     for uri in ("../a.bin", str(tmp_path / "a.bin"), "link.bin", "b.bin", "."):
         with pytest.raises(InputError, match="must be a file in the same folder"):
-            read_mesh(_gltf(files, tmp_path / "scene", uri))
+            read_mesh(_gltf(tmp_path / "scene", uri))
 
 
 def test_a_virtual_raster_is_no_geotiff(tmp_path: Path) -> None:

@@ -43,7 +43,7 @@ def test_correlated_autocovariance_is_that_of_the_draws(limits: Any) -> None:
     random = np.random.default_rng(1)
     diagnosis_rates = benchmark("diagnosis_rates")
     power = diagnosis_rates.speckle(random, (1024, 1024), 1, True) - 1.0
-    known = limits.correlated(diagnosis_rates.CORRELATION_PX)
+    known = limits.correlated(benchmark("towns").CORRELATION_PX)
     for row, col in ((0, 0), (0, 1), (1, 1), (2, 0), (0, 3)):
         measured = float((power * np.roll(power, (row, col), (0, 1))).mean())
         # standard deviation of a covariance over 2^20 pixels: below 3 / 2^10, as the correlation area is 2.2

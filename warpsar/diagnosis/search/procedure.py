@@ -131,7 +131,7 @@ def _training(scene: Scene, device: wp.Device) -> tuple[Stage, list[View], list[
 # ---- how long a diagnosis takes where nothing is missing, from a timed sample of its work
 
 
-# Set on the shared cases `none` and `tall`, on two cores; benchmarks/diagnosis_forecast.py holds them against others.
+# Set on the shared cases `none` and `tall`, on two cores; benchmarks/diagnosis_time.py holds them against others.
 JACOBIANS = 60.0  # of a start of a fit, and of the models that are judged
 BATCHES = 45.0  # of draws beside the first ones of the bootstrap, that templates, scores and the judgement are worth
 EFFECT = 2.0  # times all of it, for an effect that is found: candidates' fits, the next turn, and confirmation

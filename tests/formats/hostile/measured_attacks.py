@@ -13,8 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from hostile_attacks import attack
-from hostile_files import FIFO, Bait, made, npy_header, pickled, sound, zipped
+from measured_files import write_phoenix
+
+from .attacks import attack
+from .sound import FIFO, Bait, made, npy_header, pickled, sound, zipped
 
 
 def _mat(content: dict[str, Any], **how: Any) -> Callable[[], bytes]:
@@ -293,8 +295,6 @@ HDF5_ATTACKS = (
 
 
 def _phoenix(**changed: str) -> Callable[[], bytes]:
-    from measured_files import write_phoenix
-
     ones = np.ones((4, 4))
     return made(lambda path: write_phoenix(path, ones, ones, **changed))
 

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from hostile_files import FIFO, LOOP, VIEW, Bait, gltf, huge_tiff, made, npy_header, pickled, png, sound, zipped
+
+from .sound import FIFO, LOOP, VIEW, Bait, gltf, huge_tiff, made, npy_header, pickled, png, sound, zipped
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Sound files of every kind, small, and pieces of formats to make broken ones from; see `hostile_cases.py`."""
+"""Sound files of every kind, small, and pieces of formats to make broken ones from."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import base64
 import io
 import json
 import struct
-import sys
 import tempfile
 import zipfile
 import zlib
@@ -16,9 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-TESTS = Path(__file__).resolve().parent.parent / "tests"
-sys.path[:0] = [str(TESTS), str(TESTS / "formats")]
 
 CANARY = "unpickled"  # the file that a pickle would make
 FIFO, LOOP = "fifo", "loop"  # beside every sound file, for names to point at
