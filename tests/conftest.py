@@ -2,7 +2,9 @@
 
 import importlib
 import os
+import signal
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -85,6 +87,14 @@ def aloud() -> None:
     from warpsar.runtime import console
 
     console.be_quiet(False)
+
+
+@pytest.fixture
+def listening() -> Iterator[None]:
+    """To Ctrl-C, as at a terminal: what a shell runs in the background ignores it, and so do its children."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 @pytest.fixture(params=["cpu", pytest.param("cuda", marks=pytest.mark.cuda)])

@@ -78,7 +78,7 @@ def fit(device: Any, path: Path, max_memory_gib: float | None) -> dict[str, Any]
 def refusal(ranks: Ranks, device: Any, path: Path) -> str:
     """What a fit says to whose second view no pixel is left, which one rank alone finds out."""
     scene = Scene.load(path)
-    black = path.parent / "black.tif"
+    black = path.parent / f"black_{ranks.size}.tif"
     if ranks.first:
         write_tiff(black, np.zeros(scene.grid.shape))
     ranks.barrier()

@@ -30,7 +30,8 @@ class WrittenPage:
     def checkout(self, root: Path) -> Path:
         """The repository with the page's files at `root`; `installed/` is the package as pip would lay it out."""
         for name in ("warpsar", "cli", "kernels", "tests", "docs", "data"):
-            shutil.copytree(ROOT / name, root / name, ignore=shutil.ignore_patterns("__pycache__", "figures"))
+            # with what Python has compiled, but for files that another process is writing just now
+            shutil.copytree(ROOT / name, root / name, ignore=shutil.ignore_patterns("*.pyc.*", "figures"))
         shutil.copy(ROOT / "pyproject.toml", root)
         for name, text in self.files.items():
             path = root / name

@@ -333,10 +333,14 @@ def striped(folder: Path) -> Scene:
 OPTIONS = DiagnoseOptions(draws=400, starts=0, most_effects=2)
 
 
-@pytest.mark.full
-def test_all_rows_are_found_in_the_dark_too(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "bodies", [pytest.param(False, marks=pytest.mark.full), pytest.param(True, marks=pytest.mark.slow)]
+)
+def test_all_rows_are_found_in_the_dark_too(bodies: bool, tmp_path: Path) -> None:
+    """Beside bodies that might move, too, whose poses take most of the time."""
     saved(replace(striped(tmp_path), effects={}), tmp_path)
-    content = run(tmp_path / "scene.toml", tmp_path / "out", device="cpu", options=OPTIONS)
+    options = replace(OPTIONS, bodies=bodies)
+    content = run(tmp_path / "scene.toml", tmp_path / "out", device="cpu", options=options)
     assert content["verdict"] == ["interference"]
     assert content["unexplained"] is False
     assert content["effects"]["interference"]["rows"] == ROWS

@@ -47,7 +47,7 @@ def test_a_floor_shows_in_short_shadows(level: float, sides: Any, tmp_path: Path
     assert table["level"] == pytest.approx(level, rel=0.2)
 
 
-@pytest.mark.full
+@pytest.mark.slow  # test_diagnose_geometry.py asks the same of a hut beside a house
 def test_an_absent_body_is_no_floor(tmp_path: Path) -> None:
     found = diagnosed(tmp_path, {}, mesh=mesh_of(ground=ground(30)))
     assert (found.verdict, found.unexplained) == (["absent_object"], False)
@@ -59,8 +59,9 @@ def test_a_blur_is_no_floor(tmp_path: Path) -> None:
     assert (found.verdict, found.unexplained) == (["point_spread"], False)
 
 
-@pytest.mark.full
-@pytest.mark.parametrize("looks", [16.0, 4.0])
+@pytest.mark.parametrize(
+    "looks", [pytest.param(16.0, marks=pytest.mark.slow), pytest.param(4.0, marks=pytest.mark.full)]
+)
 def test_a_gain_is_told_over_a_declared_floor(looks: float, tmp_path: Path) -> None:
     """Lit pixels leave the floor open. Fitted to them alone, it would leave power in the shadows of one view."""
     effects = {"view_gain": {"gain_db": {"v1": 1.5}}}
@@ -68,7 +69,7 @@ def test_a_gain_is_told_over_a_declared_floor(looks: float, tmp_path: Path) -> N
     assert (found.verdict, found.unexplained) == (["view_gain"], False)
 
 
-@pytest.mark.full
+@pytest.mark.slow  # test_diagnose_geometry.py asks the same of a hut beside a house
 def test_the_only_body_stands_elsewhere(tmp_path: Path) -> None:
     """A shift of each image takes most of the loss: only the body shows it. With the body moved the rest goes, too."""
     moved = box((-6.2, 2.5, 0.0), (-3.2, 6.5, 3.0))

@@ -212,7 +212,7 @@ def test_an_image_that_is_blurred_already_states_a_larger_error() -> None:
     assert blurred.least_rad > 1.2
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_few_rows_of_speckle_tell_what_all_do(monkeypatch: pytest.MonkeyPatch) -> None:
     """Gains of speckle from a fifth of its rows and from all, in 24 draws each: their ratio is known to 21 %."""
     made = image(lambda x: 0.0 * x, points=24, shape=(320, COLUMNS), seed=3)

@@ -165,6 +165,7 @@ def test_sigterm_writes_a_checkpoint_and_exits_1(whole: Whole) -> None:
     assert outcome(out) == outcome(expected)
 
 
+@pytest.mark.usefixtures("listening")
 @pytest.mark.parametrize(
     "optimiser", [pytest.param("adam", marks=pytest.mark.slow), pytest.param("lm", marks=pytest.mark.full)]
 )
@@ -199,6 +200,7 @@ def test_ctrl_c_before_the_first_checkpoint(tmp_path: Path, monkeypatch: pytest.
     assert done.stderr == "Error: interrupted before the first checkpoint\n"
 
 
+@pytest.mark.usefixtures("listening")
 def test_ctrl_c_in_one_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The first ends the run after its iteration, with a checkpoint; the handler is then Python's own again."""
     scene = Scene.load(small_scene(tmp_path / "scene", "lm"))

@@ -66,8 +66,8 @@ def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("ranks")
     small_scene(folder / "texture", "adam")
     effects_scene(folder / "effects")
-    for size in (1, 2):
-        finish(start(size, HERE / "ranks_worker.py", folder, "texture", "effects"))
+    for run in [start(size, HERE / "ranks_worker.py", folder, "texture", "effects") for size in (1, 2)]:
+        finish(run)
     return folder
 
 
@@ -178,8 +178,9 @@ def test_a_table_and_a_term_on_two_ranks_are_those_on_one(tmp_path: Path) -> Non
     }
     saved(seeing(replace(truth, materials=asked), truth, 0, tmp_path), tmp_path)
     outs = [tmp_path / str(size) for size in (1, 2)]
-    for size, out in enumerate(outs, start=1):
-        finish(start(size, "-m", "warpsar", "learn", tmp_path / "scene.toml", "-o", out, "--starts", "1"))
+    words = ["-m", "warpsar", "learn", tmp_path / "scene.toml", "--starts", "1", "-o"]
+    for run in [start(size, *words, out) for size, out in enumerate(outs, start=1)]:
+        finish(run)
     assert [path.name for path in sorted(outs[0].iterdir())] == [path.name for path in sorted(outs[1].iterdir())]
     alone, together = (json.loads((out / "learn.json").read_text()) for out in outs)
     assert (alone["processes"], together["processes"]) == (1, 2)

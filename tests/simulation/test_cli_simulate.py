@@ -202,6 +202,7 @@ def test_an_output_folder_that_cannot_be_made_is_exit_2(scene: Path) -> None:
 
 
 @pytest.mark.full
+@pytest.mark.usefixtures("listening")
 def test_an_older_result_stays_whole_when_the_next_run_is_stopped(scene: Path) -> None:
     """Interrupted while it works: exit 130, one message, and what lies in the folder is the old result or nothing."""
     out = scene.parent / "out"

@@ -117,13 +117,13 @@ class Tangents:
         found = csc_array(shape, dtype=float)
         for d, g in self._met[polarization]:
             slopes = g.zeta.grad.numpy().astype(float)
-            spread = self._spreads.setdefault(id(g), Spread(render.stage, g.face, g.barycentric, g.page))
-            hit, share, target = spread.entries()
-            falls = self._falls(d)
-            for k in range(4):
-                mine = target[:, k] >= 0
-                at = hit[mine], target[mine, k]
-                found = found + falls @ coo_array((share[mine] * slopes[hit[mine], k], at), (len(slopes), shape[1]))
+            if id(g) not in self._spreads:
+                self._spreads[id(g)] = Spread(render.stage, g.face, g.barycentric, g.page)
+            hit, share, target = self._spreads[id(g)].entries()
+            entry, k = np.nonzero(target >= 0)
+            at = hit[entry], target[entry, k]
+            of_nodes = coo_array((share[entry] * slopes[hit[entry], k], at), (len(slopes), shape[1]))
+            found = found + self._falls(d) @ of_nodes
         return csc_array(found)
 
     def powers(self, polarization: str, kind: np.ndarray, count: int) -> np.ndarray:
