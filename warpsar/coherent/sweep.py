@@ -300,7 +300,7 @@ class Worker:
         total = wp.zeros((views, cells.LANES, len(self.k), 4), dtype=wp.vec2d, device=device)
         surface = upload(body.shape.surface, int, device)
         marked = fill(borders.Marked, body=body.rays, surface=surface, standoff=body.standoff, most=_INSIDE)
-        for rays, kept in self._halved(marked, radars, grid, finest):
+        for rays, kept in self._halved(marked, radars, grid, (1.0 + 1e-6) * finest):  # a grid's cells round
             shape = (len(rays) // cells.RAYS, len(self.k))
             part = wp.empty((*shape, 1, 4), dtype=wp.vec2d, device=device)
             inputs = [body.rays, radars, self.wavenumbers, self.stuff, body.face_material]
