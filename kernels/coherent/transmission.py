@@ -7,6 +7,7 @@ those of the outside, so their currents are what the surface sends, also beyond 
 
 import warp as wp
 
+from warpsar.kernels.coherent.borders import FIRST, PRIME, Marked
 from warpsar.kernels.coherent.cells import RAYS, Cells
 from warpsar.kernels.coherent.numbers import product, quotient, root, sinc, square_root, turned
 from warpsar.kernels.coherent.radiate import HALF_PI, Pair, scaled, unit
@@ -24,6 +25,9 @@ from warpsar.kernels.coherent.tubes import (
     start_tube,
     way_to,
 )
+
+NEAR = wp.constant(wp.float64(0.499))
+"""Where rays stand for the corners of a cell, over its width from the middle. On the border of a body they miss it."""
 
 
 @wp.struct
@@ -107,6 +111,96 @@ def sent_out(
     return wp.vec2d(re, received(e.im + back.im, index[0] * h_im + index[1] * h_re, n, s, p))
 
 
+@wp.func
+def mark_inside(
+    marked: Marked, radar: TubeRadar, place: wp.vec2d, stuff_in: wp.array2d[Face], material_in: wp.array[int]
+) -> wp.uint64:
+    """A number for the surfaces that a ray meets inside a solid, in their order, and which the radar sees it leave by.
+
+    As `borders.mark_of` outside. It is the same for all rays that enter no solid.
+    """
+    body = marked.body
+    mark = FIRST
+    side = wp.vec2d()
+    tube = start_tube(radar, place, side, side, marked.standoff, body.reach)
+    query = wp.mesh_query_ray(body.tree, wp.vec3(tube.point), wp.vec3(tube.d), body.reach)
+    if not query.result:
+        return mark
+    face = query.face
+    stuff = stuff_in[0, material_in[face]]
+    t = way_to(tube, body.vertices, body.faces, face)
+    if stuff.conductor != 0 or stuff.layer != 0 or t <= wp.float64(0.0):
+        return mark
+    mark = (mark ^ wp.uint64(marked.surface[face] + 1)) * PRIME
+    at = met(tube, t, body.vertices, body.faces, body.normals, body.curved[face], face)
+    tube = entered(tube, at, stuff.permittivity, square_root(stuff.permittivity)[0], Pair()).tube
+    start = at.point - body.offset * at.flat
+    for _b in range(marked.most):
+        inner = wp.mesh_query_ray(body.tree, wp.vec3(start), wp.vec3(tube.d), body.reach)
+        if not inner.result:
+            break
+        face = inner.face
+        t = way_to(tube, body.vertices, body.faces, face)
+        if t <= wp.float64(0.0):
+            break
+        at = met(tube, t, body.vertices, body.faces, body.normals, body.curved[face], face)
+        seen = int(0)
+        if wp.dot(at.flat, look(radar, at.point, body.reach).s) < wp.float64(0.0):
+            seen = free(body, radar, at.point, -at.flat)
+        mark = (mark ^ wp.uint64(2 * marked.surface[face] + seen + 1)) * PRIME
+        tube = bounced(tube, at)
+        start = at.point + body.offset * at.flat
+    return mark
+
+
+@wp.kernel(enable_backward=False)
+def halves_kernel(
+    # In:
+    marked: Marked,
+    radar_in: wp.array[TubeRadar],
+    stuff_in: wp.array2d[Face],
+    material_in: wp.array[int],
+    cells: Cells,
+    finest: wp.float64,
+    # Out:
+    kept_out: wp.array[int],
+    cut_out: wp.array[wp.vec2d],
+    parts_out: wp.array[int],
+):
+    """Which cells stay. The others are halved along u or v, wherever rays near their corners have other marks.
+
+    `cut_out`: 1 where a cell is halved, else 0. Those up to `finest` [m] wide are not.
+    """
+    i = wp.tid()
+    size = cells.size[i]
+    zero = wp.float64(0.0)
+    one = wp.float64(1.0)
+    cut = wp.vec2d()
+    if size[0] > finest or size[1] > finest:
+        radar = radar_in[cells.view[i]]
+        place = cells.place[i]
+        near = NEAR * size
+        across = wp.vec2d(near[0], -near[1])
+        low = mark_inside(marked, radar, place - near, stuff_in, material_in)
+        along_u = mark_inside(marked, radar, place + across, stuff_in, material_in)
+        along_v = mark_inside(marked, radar, place - across, stuff_in, material_in)
+        high = mark_inside(marked, radar, place + near, stuff_in, material_in)
+        if low != along_u or along_v != high:
+            cut[0] = one
+        if low != along_v or along_u != high:
+            cut[1] = one
+        if cut[0] + cut[1] == zero and mark_inside(marked, radar, place, stuff_in, material_in) != low:
+            cut = wp.vec2d(one, one)
+        if size[0] <= finest:
+            cut[0] = zero
+        if size[1] <= finest:
+            cut[1] = zero
+    parts = (1 + int(cut[0])) * (1 + int(cut[1]))
+    kept_out[i] = wp.where(parts == 1 and size[0] > zero and size[1] > zero, 1, 0)
+    cut_out[i] = cut
+    parts_out[i] = wp.where(parts > 1, parts, 0)
+
+
 @wp.kernel(enable_backward=False)
 def transmission_kernel(
     # In:
@@ -116,6 +210,7 @@ def transmission_kernel(
     stuff_in: wp.array2d[Face],
     material_in: wp.array[int],
     cells: Cells,
+    kept_in: wp.array[int],
     standoff: wp.float64,
     most: int,
     # Out:
@@ -136,7 +231,7 @@ def transmission_kernel(
     vv = wp.vec2d()
     for ray in range(chunk * RAYS, (chunk + 1) * RAYS):
         size = cells.size[ray]
-        if size[0] > zero and size[1] > zero:
+        if kept_in[ray] != 0:
             radar = radar_in[cells.view[ray]]
             tube = start_tube(
                 radar, cells.place[ray], wp.vec2d(size[0], zero), wp.vec2d(zero, size[1]), standoff, body.reach

@@ -14,12 +14,23 @@ from numpy.typing import NDArray
 from warpsar.coherent import rough_models
 from warpsar.coherent.body import CoherentBody
 from warpsar.coherent.directions import Directions, radar_records
-from warpsar.coherent.rays import CellGrid
+from warpsar.coherent.rays import CellGrid, CellRays
 from warpsar.coherent.records import upload
 from warpsar.coherent.traced import LEVELS, MOST_BOUNCES, Sums, Tracer, over_lanes
-from warpsar.kernels.coherent import cells, edge_waves, edges, free_lanes, radiate, rough, transmission, tubes
+from warpsar.kernels.coherent import (
+    borders,
+    cells,
+    edge_waves,
+    edges,
+    free_lanes,
+    radiate,
+    rough,
+    transmission,
+    tubes,
+)
 from warpsar.kernels.coherent.rough_models import rough_kernel
 from warpsar.runtime import threads
+from warpsar.runtime.structs import fill
 from warpsar.world.frame import SPEED_OF_LIGHT
 from warpsar.world.tables import bounces
 
@@ -36,7 +47,9 @@ _INSIDE = 12
 """Faces that a tube meets within a solid dielectric: after six ways there and back a tenth of the field is left where
 the index is 4 and nothing is lost, less elsewhere."""
 _ACROSS = 24.0
-"""Tubes across the narrowest width of a solid dielectric, at least."""
+"""Tubes across the narrowest width of a curved solid dielectric, at least."""
+_PARTED = 96.0
+"""The same of a flat one, where the rays of a tube would part. Elsewhere its tubes are as wide as outside."""
 
 
 @dataclass(frozen=True)
@@ -275,18 +288,23 @@ class Worker:
         wp.launch(cells.chunks_kernel, shape, inputs=[part, term], outputs=[total], device=device)
 
     def transmission(self, directions: Directions, radars: wp.array) -> NDArray[np.complex128]:
-        """What comes out of solid dielectrics, (directions, frequencies, 4)."""
+        """What comes out of solid dielectrics, (directions, frequencies, 4).
+
+        A tube of a flat body holds for any width if all of it meets the same surfaces. So it is halved only where it
+        does not: a thin plate would otherwise be cut all over into tubes a fraction of its thickness wide.
+        """
         body, device, views = self.body, self.body.device, len(directions)
-        spacing = min(self.spacing / body.largest_index, body.narrowest / _ACROSS)
-        grid = CellGrid(body, directions, spacing, self.distance)
+        spacing, curved = self.spacing / body.largest_index, bool(body.shape.curved.any())
+        finest = min(spacing, body.narrowest / (_ACROSS if curved else _PARTED))
+        grid = CellGrid(body, directions, finest if curved else spacing, self.distance)
         total = wp.zeros((views, cells.LANES, len(self.k), 4), dtype=wp.vec2d, device=device)
-        together = max(self.tracer.together, cells.RAYS)
-        for start in range(0, len(grid), together):
-            rays = grid[start : min(start + together, len(grid))]
+        surface = upload(body.shape.surface, int, device)
+        marked = fill(borders.Marked, body=body.rays, surface=surface, standoff=body.standoff, most=_INSIDE)
+        for rays, kept in self._halved(marked, radars, grid, (1.0 + 1e-6) * finest):  # a grid's cells round
             shape = (len(rays) // cells.RAYS, len(self.k))
             part = wp.empty((*shape, 1, 4), dtype=wp.vec2d, device=device)
             inputs = [body.rays, radars, self.wavenumbers, self.stuff, body.face_material]
-            inputs += [rays.cells, body.standoff, _INSIDE]
+            inputs += [rays.cells, kept, body.standoff, _INSIDE]
             wp.launch(transmission.transmission_kernel, shape, inputs=inputs, outputs=[part], device=device)
             first = upload(rays.first, int, device)
             wp.launch(
@@ -295,6 +313,23 @@ class Worker:
         pairs = over_lanes(total)
         found: NDArray[np.complex128] = pairs[..., 0] + 1j * pairs[..., 1]
         return found
+
+    def _halved(
+        self, marked: Any, radars: wp.array, grid: CellGrid | CellRays, finest: float
+    ) -> Iterator[tuple[CellRays, wp.array]]:
+        """Cells, and which of them stay; then the halves of those that are cut, down to `finest` [m]."""
+        body, device, together = self.body, self.body.device, self.tracer.together
+        for start in range(0, len(grid), together):
+            rays = grid[start : min(start + together, len(grid))]
+            kept, parts = (wp.empty(len(rays), dtype=int, device=device) for _ in range(2))
+            cut = wp.empty(len(rays), dtype=wp.vec2d, device=device)
+            inputs = [marked, radars, self.stuff, body.face_material, rays.cells, finest]
+            wp.launch(transmission.halves_kernel, len(rays), inputs=inputs, outputs=[kept, cut, parts], device=device)
+            yield rays, kept
+            through = wp.empty_like(parts)
+            wp.utils.array_scan(parts, through, inclusive=True)
+            if (smaller := rays.parts(cut, 0.5, through)) is not None:
+                yield from self._halved(marked, radars, smaller, finest)
 
     def grid(self, directions: Directions, spacing: float) -> CellGrid:
         return CellGrid(self.body, directions, spacing, self.distance)
