@@ -49,7 +49,7 @@ the index is 4 and nothing is lost, less elsewhere."""
 _ACROSS = 24.0
 """Tubes across the narrowest width of a curved solid dielectric, at least."""
 _PARTED = 96.0
-"""The same of a flat one, where the rays of a tube would part. Elsewhere its tubes are as wide as outside."""
+"""The same of a flat one, where the rays of a tube would part. Others are as wide as outside, over the index."""
 
 
 @dataclass(frozen=True)
