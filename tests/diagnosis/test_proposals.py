@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from effect_worlds import with_effect
 from learning_scenes import speckle
 from one_body import BODY, BOX
 from test_diagnose_geometry import fitted_of
@@ -317,6 +318,15 @@ def test_nothing_is_proposed_where_nothing_is_missing(found_box: tuple[Scene, li
 
 def test_one_view_places_nothing() -> None:
     assert proposed(measured(plain(sides=SIDES[:1]), (BOX,)), CPU) == []
+
+
+def test_trials_are_rough_only_beside_paths() -> None:
+    """A point needs exact changes, so a trial has them wherever no path over several surfaces is followed."""
+    for scene in (plain(24, SIDES[:2]), with_effect(plain(24, SIDES[:2]), "multibounce", {"strength": 1.0})):
+        ground_of = TrialGround.of(measured(scene, ()), CPU, None, "gamma")
+        trial = ground_of.holding(BOX.model_copy(update={"material": "hut"}))
+        assert ground_of.problem(trial, rough=True).rough == bool(scene.effects)
+        assert not ground_of.problem(trial).rough
 
 
 @pytest.mark.slow

@@ -91,20 +91,25 @@ def _first_box(ground: TrialGround, place: BodyPlace, name: str) -> Tried:
     material = known[int(np.argmin(losses))]
     starts = [(shape, _as_it_stands(ground, _with(ground, shape, material), blur_m)) for shape in (first, *turned)]
     shape, start = min(starts, key=lambda one: one[1].loss)
-    blurred = ground.settled(start.scene, blur_m, most=QUICK_STEPS, flat=QUICK_FLAT, rough=True)
+    blurred = _quick(ground, start.scene, QUICK_STEPS, blur_m)
     scene = _tidied(ground, blurred.scene)
-    return Tried(shape, ground.settled(scene, most=2 * QUICK_STEPS, flat=QUICK_FLAT, rough=True))
+    return Tried(shape, _quick(ground, scene, 2 * QUICK_STEPS))
 
 
 def _fitted(ground: TrialGround, shape: TrialBody, material: Material, steps: int, blur_m: float = 0.0) -> Tried:
     scene = _with(ground, shape, material)
     if blur_m:
-        scene = ground.settled(scene, blur_m, most=steps, flat=QUICK_FLAT, rough=True).scene
-    return Tried(shape, ground.settled(scene, most=steps, flat=QUICK_FLAT, rough=True))
+        scene = _quick(ground, scene, steps, blur_m).scene
+    return Tried(shape, _quick(ground, scene, steps))
 
 
 def _again(ground: TrialGround, tried: Tried) -> Tried:
-    return replace(tried, standing=ground.settled(tried.standing.scene, most=QUICK_STEPS, flat=QUICK_FLAT, rough=True))
+    return replace(tried, standing=_quick(ground, tried.standing.scene, QUICK_STEPS))
+
+
+def _quick(ground: TrialGround, scene: Scene, steps: int, blur_m: float = 0.0) -> Standing:
+    """The scene as a descent leaves it that only compares bodies."""
+    return ground.settled(scene, blur_m, most=steps, flat=QUICK_FLAT, rough=True)
 
 
 def _rounded(ground: TrialGround, tried: Tried) -> list[Tried]:
