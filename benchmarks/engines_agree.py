@@ -23,7 +23,10 @@ import json
 import sys
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
+from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -329,25 +332,31 @@ def draw(names: Sequence[str], out: Path, path: Path, dpi: int) -> None:
     plt.close(figure)
 
 
-def run(name: str, out: Path, looks: int, draws: int) -> dict[str, Any]:
-    """The numbers of a scene; made, or read where its files are there."""
-    told = out / f"{name}.json"
-    if told.exists():
-        return tables.stored(told)
+def one_look(name: str, looks: int, draws: int, number: int) -> tuple[F64, F64]:
+    """`both` of one look of a scene."""
     place = SCENES[name]()
     seen = looks_of(place, looks)
     base = scene_of(place, seen)
     highest = max(float(material.rms_height_m) for material in base.materials.values())
     draws = draws if highest > SMOOTH_M and not place.smooth else 1
+    return both(place, base, seen[number], draws, number)
+
+
+def run(name: str, out: Path, looks: int, draws: int, jobs: int) -> dict[str, Any]:
+    """The numbers of a scene; made, or read where its files are there."""
+    told = out / f"{name}.json"
+    if told.exists():
+        return tables.stored(told)
     started, made = time.perf_counter(), []
-    for number, look in enumerate(seen):
-        made.append(both(place, base, look, draws, number))
-        print(f"{name}: look {number + 1} of {looks}, {time.perf_counter() - started:.0f} s", file=sys.stderr)
+    with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
+        for number, images in enumerate(pool.map(partial(one_look, name, looks, draws), range(looks))):
+            made.append(images)
+            print(f"{name}: look {number + 1} of {looks}, {time.perf_counter() - started:.0f} s", file=sys.stderr)
     slc, power = (np.array(images) for images in zip(*made, strict=True))
     seconds = time.perf_counter() - started
     np.savez_compressed(out / f"{name}.npz", slc=slc.astype(np.float32), power=power.astype(np.float32))
     draw([name], out, out / f"{name}.png", 72)
-    found = {"name": name, "words": place.words, **compared(slc, power), "seconds": seconds}
+    found = {"name": name, "words": SCENES[name]().words, **compared(slc, power), "seconds": seconds}
     told.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     return found
 
@@ -358,13 +367,14 @@ def main() -> None:
     parser.add_argument("--scene", choices=SCENES, action="append", help="one scene; all without it")
     parser.add_argument("--looks", type=int, default=LOOKS)
     parser.add_argument("--draws", type=int, default=DRAWS)
+    parser.add_argument("--jobs", type=int, default=1, help="looks side by side")
     parser.add_argument("--picture", type=Path, help="a picture of all of them")
     tables.add_write(parser)
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     rows = []
     for name in options.scene or SCENES:
-        found = run(name, options.out, options.looks, options.draws)
+        found = run(name, options.out, options.looks, options.draws, options.jobs)
         numbers = f"{found['totals_db']:+.2f}", f"{found['totals_error_db']:.2f}", found["cells"]
         of_cells = f"{100 * found['share']:.1f} %", f"{found['median_db']:+.2f}"
         rows.append((found["words"], *numbers, *of_cells, f"{found['seconds']:.0f}"))

@@ -5,7 +5,7 @@
 The annotation is real. The hills are made: slopes of 20 degrees on average, so some lie over others and some are in
 shadow. Timed are the layers alone (`warpsar.twin`), once more after the kernels are compiled, and the whole command
 with its GeoTIFFs, pictures and report, twice, too; `--once` leaves out the second time. `--size` takes more lines and
-pixels, with more hills: the scene has 16,705 lines of 26,102 pixels. With `pixels` the product has pixels of speckle,
+pixels, with more hills, and from 26,102 on the whole scene of 16,705 lines of 26,102 pixels. With `pixels` the product has pixels of speckle,
 and what is timed is layers, comparison and what differs. Memory at most is that of the process up to then.
 """
 
@@ -87,11 +87,14 @@ def main() -> None:
     names = ("first",) if options.once else ("first", "again")
     size, safe = options.size, next(options.folder.glob("S1B*.SAFE"))
     (product,) = registry.products(safe)
-    line, pixel = (min(begin, whole - size) for begin, whole in ((8000.0, 16705.0), (20000.0, 26102.0)))
-    corners = product.to_ground([line, line + size], [pixel, pixel + size], 700.0)
+    lines, pixels = min(size, product.grid.lines), min(size, product.grid.pixels)
+    line, pixel = min(8000.0, product.grid.lines - lines), min(20000.0, product.grid.pixels - pixels)
+    corners = product.to_ground([line, line + lines], [pixel, pixel + pixels], 700.0)
     middle = corners.mean(axis=0)
     half_lat, half_lon = (share * abs(np.diff(corners[:, i])[0]) for i, share in ((0, 0.47), (1, 0.38)))
     crop = (middle[1] - half_lon, middle[0] - half_lat, middle[1] + half_lon, middle[0] + half_lat)
+    if size >= product.grid.pixels:
+        crop = None
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "hills.tif"
         hills(path, float(middle[1]), float(middle[0]), size)
