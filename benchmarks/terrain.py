@@ -5,8 +5,9 @@
 The annotation is real. The hills are made: slopes of 20 degrees on average, so some lie over others and some are in
 shadow. Timed are the layers alone (`warpsar.twin`), once more after the kernels are compiled, and the whole command
 with its GeoTIFFs, pictures and report, twice, too; `--once` leaves out the second time. `--size` takes more lines and
-pixels, with more hills, and from 26,102 on the whole scene of 16,705 lines of 26,102 pixels. With `pixels` the product has pixels of speckle,
-and what is timed is layers, comparison and what differs. Memory at most is that of the process up to then.
+pixels, with more hills; from 26,102 on it is the whole scene, of 16,705 lines of 26,102 pixels. With `pixels` the
+product has pixels of speckle, and what is timed is layers, comparison and what differs. Memory at most is that of the
+process up to then.
 """
 
 from __future__ import annotations
