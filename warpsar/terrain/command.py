@@ -8,10 +8,9 @@ import re
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
@@ -36,6 +35,9 @@ from warpsar.terrain.result import SimulatedProduct, simulated
 from warpsar.terrain.scenery import POLARIZATIONS, Scenery, surface_sigma0
 from warpsar.terrain.summary import TwinSummary, summary
 from warpsar.world.library.surfaces import SURFACES
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 SURFACE = "grass"
 LANDCOVER_TABLE = "worldcover"
@@ -272,11 +274,16 @@ def _written(
     layers: dict[str, Callable[[], None]] = {}
     for one in dict.fromkeys(formats):
         layers |= files.writers(found, out, one)
+    drawn = _figures(found, against, differs)
+
+    def draw() -> None:  # one after the other: Matplotlib works in one thread
+        for name, figure in drawn.items():
+            figures.save(figure, out / name)
+
     # the largest part of the time is packing of tiles, which holds no lock
-    tasks: list[Callable[[], list[str] | None]] = [*layers.values(), partial(_drawn, found, against, differs, out)]
+    tasks = [draw, *layers.values()]
     # copies of layers that do not fit into memory take room on the disk, so one follows the other
-    drawn = list((task() for task in tasks) if found.forecast.in_files else in_threads(tasks))[-1]
-    assert drawn is not None
+    list((task() for task in tasks) if found.forecast.in_files else in_threads(tasks))
     written = [*layers, *drawn]
     source = Path(found.product.source)
     content = {
@@ -357,21 +364,18 @@ def words_in(content: Mapping[str, Any]) -> list[str]:
     return told
 
 
-def _drawn(
+def _figures(
     found: SimulatedProduct,
     against: TerrainComparison | str | None,
     differs: TerrainDifferences | str | None,
-    out: Path,
-) -> list[str]:
-    """The pictures in `out`, one after the other: Matplotlib works in one thread. Returns their names."""
+) -> dict[str, Figure]:
+    """The pictures by their file names."""
     drawn = {"image.png": image_figure(found), "map.png": map_figure(found)}
     if isinstance(against, TerrainComparison):
         drawn["comparison.png"] = comparison_figure(found, against)
     if isinstance(differs, TerrainDifferences):
         drawn["differences.png"] = differences_figure(found, differs)
-    for name, figure in drawn.items():
-        figures.save(figure, out / name)
-    return list(drawn)
+    return drawn
 
 
 def _digest(*paths: Path) -> str:

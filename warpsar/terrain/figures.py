@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from warpsar.io import figures
-from warpsar.io.bands import bands_of, median, release
+from warpsar.io.bands import bands_of, release
 from warpsar.io.grey_scale import GreyScale, in_decibel
+from warpsar.runtime.threads import in_threads
 from warpsar.terrain.comparison import TerrainComparison
 from warpsar.terrain.differences import TerrainDifferences
 from warpsar.terrain.layers import Layer, of_image, of_map
@@ -26,12 +28,12 @@ SEEN = (("seen once", "#e8e4d8"), ("layover", "#c1440e"), ("shadow", "#1b2a41"),
 """What a panel of `shadow` shows together with `layover`."""
 
 
-def thinned(values: np.ndarray) -> tuple[np.ndarray, int, int]:
-    """Means of blocks, so that the longer side has `MOST` at most; and how many lines and pixels a mean is of."""
+def thinned(values: np.ndarray) -> np.ndarray:
+    """Means of blocks, so that the longer side has `MOST` at most."""
     step = max(-(-max(values.shape) // MOST), 1)
     rows, columns = (n // step for n in values.shape)
     if step == 1 or not rows or not columns:
-        return np.asarray(values), 1, 1
+        return np.asarray(values)
     means = []
     for band in bands_of((rows * step, values.shape[1]), step):
         cut = np.asarray(values[band, : columns * step]).reshape(-1, step, columns, step)
@@ -40,7 +42,7 @@ def thinned(values: np.ndarray) -> tuple[np.ndarray, int, int]:
         total = np.where(known, cut, 0.0).sum(axis=(1, 3))
         means.append(np.where(count > 0, total / np.maximum(count, 1), np.nan))
         release(values)
-    return np.concatenate(means), step, step
+    return np.concatenate(means)
 
 
 def image_figure(found: SimulatedProduct) -> Figure:
@@ -117,7 +119,7 @@ def _of_cells(
 
 def _aspect(found: SimulatedProduct) -> float:
     """Of a line to a pixel on the ground, by areas: a picture is shown as the ground lies."""
-    area = median(found.image["area_sigma"])
+    area = float(np.nanmedian(thinned(found.image["area_sigma"])))
     product = found.product
     middle = [0.5 * (a + b - 1) for a, b in (found.window.lines, found.window.pixels)]
     mean = 0.5 * (found.elevation.lowest_m + found.elevation.highest_m)
@@ -140,13 +142,15 @@ def _panels(
     height = float(np.clip(2.7 * tall, 1.6, 6.0)) + 0.9
     figure, axes = figures.new(4.2 * columns, height * rows, nrows=rows, ncols=columns, squeeze=False)
     figure.set_layout_engine("compressed")  # else a bar stands apart from a picture that is narrow
-    powers = [thinned(layers[one.name])[0] for one in chosen if one.kind == "power"]
+    names = [*(one.name for one in chosen), *("layover" for one in chosen if one.name == "shadow")]
+    shown = dict(zip(names, in_threads([partial(thinned, layers[name]) for name in names]), strict=True))
+    powers = [shown[one.name] for one in chosen if one.kind == "power"]
     scale = GreyScale.of(powers) if powers else None
     for axis, layer in zip(axes.flat, chosen, strict=False):
         if layer.name == "shadow":
-            _seen_panel(axis, layers, ends, aspect)
+            _seen_panel(axis, shown, ends, aspect)
         else:
-            _panel(axis, layers[layer.name], layer, ends, aspect, scale)
+            _panel(axis, shown[layer.name], layer, ends, aspect, scale)
         axis.set_xlabel(labels[0])
         axis.set_ylabel(labels[1])
     for axis in axes.flat[len(chosen) :]:
@@ -155,13 +159,13 @@ def _panels(
 
 
 def _seen_panel(
-    axis: Axes, layers: dict[str, np.ndarray], ends: tuple[float, float, float, float], aspect: float
+    axis: Axes, thin: dict[str, np.ndarray], ends: tuple[float, float, float, float], aspect: float
 ) -> None:
     """Layover and shadow in one picture. A mean of pixels counts for what most of them are."""
     from matplotlib.colors import ListedColormap
     from matplotlib.patches import Patch
 
-    layover, shadow = (thinned(layers[name])[0] for name in ("layover", "shadow"))
+    layover, shadow = thin["layover"], thin["shadow"]
     shown = np.where(np.isnan(shadow), np.nan, 1.0 * (layover >= 0.5) + 2.0 * (shadow >= 0.5))
     colours = ListedColormap([colour for _, colour in SEEN])
     axis.imshow(shown, cmap=colours, vmin=-0.5, vmax=3.5, extent=ends, aspect=aspect, interpolation="nearest")
@@ -185,13 +189,12 @@ def _dress(axis: Axes, title: str) -> None:
 
 def _panel(
     axis: Axes,
-    values: np.ndarray,
+    shown: np.ndarray,
     layer: Layer,
     ends: tuple[float, float, float, float],
     aspect: float,
     scale: GreyScale | None,
 ) -> None:
-    shown, _, _ = thinned(values)
     options: dict[str, Any] = {"extent": ends, "aspect": aspect, "interpolation": "nearest"}
     label = {"power": f"{layer.name} [dB]", "angle": f"{layer.name} [deg]"}.get(layer.kind, layer.name)
     if layer.kind == "power" and scale is not None:

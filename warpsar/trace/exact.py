@@ -307,7 +307,8 @@ def _covered(seen: ProjectedMesh, grid: BinGrid, columns: tuple[int, int], devic
 
 
 def _put(values: np.ndarray, kind: type, device: wp.Device) -> wp.array:
-    return wp.array(np.ascontiguousarray(values, np.int32 if kind is int else np.float64), dtype=kind, device=device)
+    values = np.ascontiguousarray(values, np.int32 if kind is int else np.float64)
+    return wp.array(values, dtype=kind, device=device, copy=False)
 
 
 def _limits(seen: ProjectedMesh, grid: BinGrid, columns: tuple[int, int]) -> np.ndarray:
