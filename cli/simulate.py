@@ -59,6 +59,12 @@ PRODUCTS = ("beta0", "slc", "phase-history")
 @click.option(
     "--layers", is_flag=True, help="Also write incidence, layover count, shadow mask and material of each pixel."
 )
+@click.option(
+    "--scatterers",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Also list the N strongest contributions of each view: place, faces, RCS (CSV, and PLY for 3-D programs).",
+)
 @click.option("--variance", is_flag=True, help="Also write the sampling variance of each pixel, from a second seed.")
 @click.option(
     "--per-ray",
@@ -82,6 +88,7 @@ def command(
     device: str | None,
     seed: int | None,
     layers: bool,
+    scatterers: int | None,
     variance: bool,
     per_ray: bool,
     max_memory: float | None,
@@ -107,10 +114,10 @@ def command(
     if len(scenes) > 1 or azimuths is not None or incidences is not None:
         from warpsar.simulation import batch
 
-        if looks is not None or declare or formats != ("exr",):
+        if looks is not None or declare or scatterers or formats != ("exr",):
             raise click.UsageError(
-                "--format, --looks and --declare are for one scene, with the views that its file has; several scenes, "
-                "or --azimuths, make EXR without speckle"
+                "--format, --looks, --declare and --scatterers are for one scene, with the views that its file has; "
+                "several scenes, or --azimuths, make EXR without speckle"
             )
         batch.run(
             scenes,
@@ -140,6 +147,7 @@ def command(
         formats=formats,
         looks=looks,
         declare=declare,
+        scatterers=scatterers or 0,
         yes=yes,
     )
 

@@ -17,8 +17,13 @@ from warpsar.cli import options
     type=click.Path(exists=True, path_type=Path),
     help="A scene to compare with, such as the one before learn or diagnose.",
 )
+@click.option(
+    "--scatterers",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="A VIEW_scatterers.csv of simulate --scatterers: its places are shown as points, by their RCS.",
+)
 @options.device
-def command(scene: Path, out: Path, before: Path | None, device: str | None) -> None:
+def command(scene: Path, out: Path, before: Path | None, scatterers: Path | None, device: str | None) -> None:
     """Show SCENE in 3D in a browser: its mesh, the views, and the surfaces that each view lights.
 
     SCENE is a scene file, or the folder that learn or diagnose wrote. The page is one file and fetches nothing.
@@ -28,7 +33,8 @@ def command(scene: Path, out: Path, before: Path | None, device: str | None) -> 
     Examples:
       warpsar view scene.toml -o shown/
       warpsar view learned/ --before scene.toml -o shown/
+      warpsar view scene.toml --scatterers out/az030_scatterers.csv -o shown/
     """
     from warpsar.viewer.command import run
 
-    click.echo(run(scene, out, before=before, device=device))
+    click.echo(run(scene, out, before=before, scatterers=scatterers, device=device))

@@ -98,12 +98,15 @@ class Multibounce(Effect):
             else:
                 power = diffuse_power(render, p, fields, polarization)
             share = render.program.array(image.shape[0], sum_into=True)
-            render.collect(power, traced.paths.weight, traced.paths.point, traced.paths.pixel, share)
+            paths = traced.paths
+            faces = [bounce.face for bounce in paths.bounces]
+            render.collect(power, paths.weight, paths.point, paths.pixel, share, faces=faces)
             if of_samples is not None:
                 samples, points = traced.coherent.samples, traced.coherent.paths.point
+                faces = [bounce.face for bounce in traced.coherent.paths.bounces]
                 power = coherent_power(render, p, traced.coherent, of_samples, polarization)
                 fields_share = render.program.array(image.shape[0], sum_into=True)
-                render.collect(power, samples.weight, points, samples.bin, fields_share, samples.path)
+                render.collect(power, samples.weight, points, samples.bin, fields_share, samples.path, faces)
                 share = _sum(render, share, fields_share)
             render.layers[name] = share
             image = _sum(render, image, share)

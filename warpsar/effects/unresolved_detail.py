@@ -157,7 +157,7 @@ class UnresolvedDetail(Effect):
             [sigma],
         )
         share = program.array(image.shape[0], sum_into=True)
-        render.collect(sigma, hits.weight, hits.point, hits.pixel, share)
+        render.collect(sigma, hits.weight, hits.point, hits.pixel, share, faces=[hits.face])
         for axis in (0, 1):
             share = blurred(render, WINDOWS["gaussian"], p, 1, share, axis=axis)
         render.layers[f"beta0_detail_{Polarization(polarization).name}"] = share

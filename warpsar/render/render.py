@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -46,7 +46,8 @@ class Deposited:
     """Power `sigma` * `weight` that falls into `bins` of the hits' grid.
 
     `sample`: which of `sigma` each bin takes; None: its own. `shift`: by how many pixels (rows, columns) the bins are
-    moved; None: the bins are pixels.
+    moved; None: the bins are pixels. `points` (vec3) and the `faces` of each bounce (int) are those of `sigma`, and
+    `term` is "surface" or the path effect.
     """
 
     sigma: wp.array
@@ -54,6 +55,9 @@ class Deposited:
     weight: wp.array
     bins: wp.array
     shift: wp.array | None
+    points: wp.array
+    faces: Sequence[wp.array]
+    term: str
 
 
 class ViewRender:
@@ -117,9 +121,11 @@ class ViewRender:
                 sigma = effect.scattering(self, p, zeta, sigma, code)
             self.sigma[name] = sigma
             image = self.program.array(shape[0] * shape[1], sum_into=True)
-            self.collect(sigma, hits.weight, shaded.point, hits.pixel, image, self._sample)
+            self._term = "surface"
+            self.collect(sigma, hits.weight, shaded.point, hits.pixel, image, self._sample, [shaded.face])
             self._light[name] = image
             for effect, p in at("path"):
+                self._term = effect.name
                 image = effect.paths(self, p, image, code)
             self.before_image[name] = image
             for effect, p in at("image"):
@@ -227,15 +233,16 @@ class ViewRender:
         bins: wp.array,
         image: wp.array,
         sample: wp.array | None = None,
+        faces: Sequence[wp.array] = (),
     ) -> None:
         """Record the gains on `sigma` and its deposit into `image`, an array that is zeroed before each run.
 
         `bins` are row * cols + col of `hits.grid`, `weight` is as in Hits. The power of a path effect goes the same
-        way. `sample`: which of `sigma` each bin takes, where several take one.
+        way. `sample`: which of `sigma` each bin takes, where several take one. `faces`: of each bounce, as `sigma`.
         """
         for effect, p in self._at("gain"):
             sigma = effect.gain(self, p, sigma, points)
-        self._collected = sigma, sample
+        self._collected = sigma, sample, points, faces
         if not self._moves:
             self._note(weight, bins, None)
             self._deposit(sigma, sample, weight, bins, image)
@@ -341,8 +348,8 @@ class ViewRender:
         self.program.launch(deposit_lanes.slide_kernel, rows, inputs, [image], adjoint=lambda: adjoint().launch())
 
     def _note(self, weight: wp.array, bins: wp.array, shift: wp.array | None) -> None:
-        sigma, sample = self._collected
-        self._deposits.append(Deposited(sigma, sample, weight, bins, shift))
+        sigma, sample, points, faces = self._collected
+        self._deposits.append(Deposited(sigma, sample, weight, bins, shift, points, faces, self._term))
 
     def scatter(self, zeta: wp.array, polarization: int, spectrum: wp.array | None = None) -> wp.array:
         """Record sigma0 of the hits for coordinates `zeta`; `spectrum` takes the place of the materials' own."""

@@ -33,6 +33,7 @@ from warpsar.simulation.formats import registry
 from warpsar.simulation.ground import MapGround
 from warpsar.simulation.outputs import make_folder, refuse_unlikely_size, write_json
 from warpsar.simulation.rays import effects_grid, hit_grid, trace_view, view_seed
+from warpsar.simulation.scatterers import Scatterers, strongest_of, together
 from warpsar.simulation.speckle import declare as declare_speckled
 from warpsar.simulation.speckle import refuse_declaring, responses
 from warpsar.simulation.view import SimulatedView
@@ -54,6 +55,7 @@ class Simulation:
 
     `seed` overrides the scene's; `merge` false keeps every ray's hit; `bar` counts rays. `part`: which
     part of another image the scene's image is. `tells`: whether findings have what only further work finds out.
+    `scatterers`: how many of the strongest are listed.
     """
 
     def __init__(
@@ -70,12 +72,13 @@ class Simulation:
         bar: Any = None,
         part: Strip = WHOLE,
         tells: bool = True,
+        scatterers: int = 0,
     ) -> None:
         self.tells = tells
         self.scene, self.stage, self.bar, self.part = scene, stage, bar, part
         self.seed = scene.seed(seed)
         self.layers, self.variance, self.merge, self.max_memory_gib = layers, variance, merge, max_memory_gib
-        self.pictures = pictures
+        self.pictures, self.scatterers = pictures, scatterers
         self.findings = Findings()
         self.grid = replace(hit_grid(scene), strip=self.part)
         self.density = scene.sampling.density_per_m2(scene.grid)
@@ -92,14 +95,14 @@ class Simulation:
         Raises OutOfMemoryError where the device cannot hold the hits of 1/256 of it.
         """
         scene, stage, grid = self.scene, self.stage, self.grid
-        hits, count, beta0, shares, lit = self._images(view, view_seed(self.seed, index))
+        hits, count, beta0, shares, lit, strongest = self._images(view, view_seed(self.seed, index))
         axes = [
             start + (np.arange(n) + 0.5) * step
             for start, n, step in zip(grid.start_m, grid.shape, grid.spacing_m, strict=True)
         ]
         rays = self.rays(view) // (1 + self.variance) if hits is None else hits.rays
         one = SimulatedView(view.name, beta0, axes[0], axes[1], rays, count, metadata=metadata(scene, view))
-        one.lit_fraction = float(lit.mean())
+        one.lit_fraction, one.scatterers = float(lit.mean()), strongest
         if self.variance:
             # half the squared difference of two independent images is each one's variance
             other = self._images(view, view_seed(self.seed + 1, index + len(scene.views)), again=True)[2]
@@ -144,9 +147,9 @@ class Simulation:
 
     def _images(
         self, view: View, seed: int, again: bool = False
-    ) -> tuple[Hits | None, int, dict[str, np.ndarray], dict[str, np.ndarray], np.ndarray]:
+    ) -> tuple[Hits | None, int, dict[str, np.ndarray], dict[str, np.ndarray], np.ndarray, Scatterers | None]:
         """Hits, where they fit into memory, and their number; images; shares of them that effects tell apart; the
-        pixels that single-bounce light reaches. `again`: the view's findings are known."""
+        pixels that single-bounce light reaches; the strongest scatterers. `again`: the view's findings are known."""
         effects = declared(self.scene, view)
         try:
             hits = self._trace(view, seed, effects, merge=self.merge, progress=self.bar)
@@ -159,13 +162,21 @@ class Simulation:
                 with busy(f"{view.name}: power beyond the last bounce"):
                     self._tell_more(view, seed, effects, render)
             shares = {n: a.numpy().reshape(render.shape) for n, a in render.layers.items()}
-            return hits, hits.count, beta0, shares, lit
+            return hits, hits.count, beta0, shares, lit, None if again else self._strongest([render])
         except (MemoryError, RuntimeError, OutOfMemoryError) as error:
             if not ran_out(error):
                 raise
         with busy(f"{view.name}: in bands"):
-            count, beta0, lit = in_parts(partial(self._in_bands, view, seed, effects), f"view {view.name}", PARTS[1:])
-        return None, count, beta0, {}, lit
+            banded = partial(self._in_bands, view, seed, effects, again)
+            count, beta0, lit, strongest = in_parts(banded, f"view {view.name}", PARTS[1:])
+        return None, count, beta0, {}, lit, strongest
+
+    def _strongest(self, renders: Iterable[ViewRender]) -> Scatterers | None:
+        """Of all the renders, each after a forward run."""
+        if not self.scatterers:
+            return None
+        parts = [strongest_of(one, self.scene.reference_point_m, self.scatterers) for one in renders]
+        return together(parts, self.scatterers)
 
     def _tell_more(self, view: View, seed: int, effects: list[DeclaredEffect], render: ViewRender) -> None:
         """Find doubts about the mesh; and what power rays have that go on after the last bounce, by fewer rays."""
@@ -180,9 +191,9 @@ class Simulation:
                 self.findings.add_left_out(render, one.effect.left_out(render, other))
 
     def _in_bands(
-        self, view: View, seed: int, effects: list[DeclaredEffect], bands: int
-    ) -> tuple[int, dict[str, np.ndarray], np.ndarray]:
-        """Number of hits, images, and their lit pixels, with the hits of one band at a time in memory."""
+        self, view: View, seed: int, effects: list[DeclaredEffect], again: bool, bands: int
+    ) -> tuple[int, dict[str, np.ndarray], np.ndarray, Scatterers | None]:
+        """Number of hits, images, their lit pixels, and scatterers, with the hits of one band at a time in memory."""
         count = 0
 
         def traced(only_columns: tuple[int, int]) -> Hits:
@@ -195,7 +206,8 @@ class Simulation:
         polarizations = self.scene.radar.polarizations
         render = BandedRender(self.stage, view, traced, columns, self.scene.grid.shape, polarizations, effects)
         beta0 = render.forward()
-        return count, beta0, _lit(render, beta0)
+        hits = count
+        return hits, beta0, _lit(render, beta0), None if again else self._strongest(render.pieces())
 
 
 def _lit(render: ViewRender | BandedRender, polarizations: Iterable[str]) -> np.ndarray:
@@ -213,18 +225,26 @@ def simulate(
     variance: bool = False,
     merge: bool = True,
     max_memory_gib: float = DEFAULT_MEMORY_GIB,
+    scatterers: int = 0,
 ) -> list[SimulatedView]:
     """Images of every view of the scene, or of a scene file, with its declared materials and effects.
 
-    `seed` overrides the scene's; `merge` false keeps every ray's hit. Raises DeviceError for a device that is
-    not there.
+    `seed` overrides the scene's; `merge` false keeps every ray's hit; `scatterers`: how many of the strongest each
+    view lists. Raises DeviceError for a device that is not there.
     """
     scene = scene_or_file(scene)
     refuse_without_views(scene)
     refuse_number(max_memory_gib, "max_memory_gib", above=True)
     stage = Stage.of(scene, devices.resolve_device(device))
     made = Simulation(
-        scene, stage, seed=seed, layers=layers, variance=variance, merge=merge, max_memory_gib=max_memory_gib
+        scene,
+        stage,
+        seed=seed,
+        layers=layers,
+        variance=variance,
+        merge=merge,
+        max_memory_gib=max_memory_gib,
+        scatterers=scatterers,
     )
     console.warn(grid_warnings(scene, stage, scene.views))
     made.bar = console.progress(sum(map(made.rays, scene.views)), "rays", "ray")
@@ -294,13 +314,14 @@ def run(
     looks: float | None = None,
     declare: bool = False,
     formats: Sequence[str] = ("exr",),
+    scatterers: int = 0,
     yes: bool = False,
 ) -> dict[str, Any]:
     """`warpsar simulate`: images (EXR), quick looks (PNG) and simulate.json in `out`. Returns the JSON's content.
 
     `formats`: of the images, named in `simulation.formats`. `looks` adds images with speckle; `declare` a scene.toml
-    that names them as measured. `yes` takes a mesh whose size is unlikely. Several processes share the views
-    by the number of their rays.
+    that names them as measured. `scatterers`: how many of the strongest are listed for each view. `yes` takes a mesh
+    whose size is unlikely. Several processes share the views by the number of their rays.
     """
     started = time.perf_counter()
     refuse_formats(formats)
@@ -328,13 +349,16 @@ def run(
         pictures=True,
         merge=not per_ray,
         max_memory_gib=max_memory_gib or DEFAULT_MEMORY_GIB,
+        scatterers=scatterers,
     )
     formats = tuple(dict.fromkeys(formats))
     on_ground = [one.title for one in map(registry.get, formats) if one.on_ground]
     ground = MapGround.of(scene, stage) if on_ground else None
     if on_ground and ground is None:
         console.say(f"note: [scene] has no origin, so {' and '.join(on_ground)} is in slant range alone")
-    output = Output(out, made.seed, looks, formats, exr_speckle=declare, responses=responses(scene), ground=ground)
+    output = Output(
+        out, made.seed, looks, formats, exr_speckle=declare, responses=responses(scene), ground=ground, mesh=scene.mesh
+    )
     entries, found = _written_views(made, output, ranks)
     content = {
         "rays_per_m2": made.density,

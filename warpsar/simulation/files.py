@@ -12,8 +12,10 @@ from warpsar.io.quick_look import QuickLook
 from warpsar.runtime.busy import busy
 from warpsar.simulation.formats import registry
 from warpsar.simulation.ground import MapGround
+from warpsar.simulation.scatterers import Scatterers, write_csv, write_ply
 from warpsar.simulation.speckle import SHARP, speckled, suffix
 from warpsar.simulation.view import SimulatedView
+from warpsar.world.mesh import Mesh
 
 
 def refuse_formats(formats: Sequence[str]) -> None:
@@ -39,6 +41,8 @@ class Output:
     responses: Mapping[str, Response] = field(default_factory=dict)
     """Of every view, by name: what makes the speckle of neighbours alike."""
     ground: MapGround | None = None
+    mesh: Mesh | None = None
+    """Whose faces scatterers name."""
     looks_at: list[QuickLook] = field(default_factory=list)
     """Quick looks of the views written so far: they are drawn when the scale of all is known."""
 
@@ -46,6 +50,8 @@ class Output:
         """The files of the scene's view number `index`, and what simulate.json says of it."""
         files = {"quick_look": self._quick_look(view, view.name)}
         files |= self._image(view, view.name, "image")
+        if view.scatterers is not None:
+            files |= self._scatterers(view, view.scatterers)
         said = {
             "name": view.name,
             "files": files,
@@ -61,6 +67,13 @@ class Output:
             files |= self._image(noisy, name, "speckled")
             said["looks"] = self.looks
         return said
+
+    def _scatterers(self, view: SimulatedView, found: Scatterers) -> dict[str, str]:
+        table, points = (f"{view.name}_scatterers.{kind}" for kind in ("csv", "ply"))
+        assert self.mesh is not None
+        write_csv(found, self.mesh, self.out / table)
+        write_ply(found, self.out / points)
+        return {"scatterers": table, "scatterers_ply": points}
 
     def _quick_look(self, view: SimulatedView, name: str) -> str:
         """Keep a quick look of the view for later; the name of its file."""
@@ -106,6 +119,8 @@ KINDS = {
     "image": "beta0",
     "quick_look": "quick look, dB",
     "layers": "layers",
+    "scatterers": "strongest scatterers",
+    "scatterers_ply": "strongest scatterers, points",
     "ground": "beta0 on the ground",
     "speckled_quick_look": "quick look with speckle, dB",
     "speckled": "beta0 with speckle",

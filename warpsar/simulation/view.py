@@ -12,6 +12,8 @@ from warpsar.errors import InputError
 if TYPE_CHECKING:
     import xarray
 
+    from warpsar.simulation.scatterers import Scatterers
+
 LAYERS = {
     "incidence_deg": ("degree", "local angle of incidence, averaged over the lit area; NaN where nothing is lit"),
     "layover": ("1", "separate stretches of lit surface in the pixel"),
@@ -32,6 +34,7 @@ class SimulatedView:
     `lit_fraction`: share of the pixels that single-bounce light reaches. `metadata`: geometry, axes and calibration, as
     the headers of its files have them. `looks`: of the speckle on `beta0`; None for an image without.
     `covered`: where a surface lies, lit or hidden (`warpsar.trace.layers.covered`); None where no picture is drawn.
+    `scatterers`: the strongest, where they were asked for.
     """
 
     name: str
@@ -46,6 +49,7 @@ class SimulatedView:
     metadata: dict[str, Any] = field(default_factory=dict)
     looks: float | None = None
     covered: np.ndarray | None = None
+    scatterers: Scatterers | None = None
 
     def __repr__(self) -> str:
         rows, cols = len(self.range_m), len(self.azimuth_m)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -64,8 +64,10 @@ class Recorder(Protocol):
         bins: wp.array,
         image: wp.array,
         sample: wp.array | None = None,
+        faces: Sequence[wp.array] = (),
     ) -> None:
-        """Record the gains on `sigma` and its deposit into `image`, an array that is zeroed before each run."""
+        """Record the gains on `sigma` and its deposit into `image`, an array that is zeroed before each run. `faces`:
+        of each bounce, for lists of scatterers."""
 
 
 def lit_pixels(render: Recorder) -> np.ndarray:
