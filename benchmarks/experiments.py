@@ -1,5 +1,5 @@
 """The paper's experiments again, on scenes whose truth is known: tables III, IV and VI, surfaces inside the models'
-domains, parameter fields, and a case of an independent renderer. docs/experiments.md has the results.
+domains, and parameter fields. docs/experiments.md has the results.
 
     python benchmarks/experiments.py table3 -o out/experiments
 
@@ -7,7 +7,6 @@ Each command prints its tables and leaves NAME.json, the references and their sc
 the tables into the page; `--from out/experiments/NAME.json` takes them from an earlier run.
 """
 
-import json
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -277,53 +276,6 @@ def sampling_table(rows: Sequence[dict[str, Any]]) -> str:
     return tables.markdown(header, body)
 
 
-def case_result(folder: Path, out: Path, device: str | None) -> dict[str, Any]:
-    """`warpsar learn` on a case with truth.json beside it: is the truth in the intervals of what is identifiable?"""
-    from warpsar.learning.command import run
-
-    content = run(folder / "scene.toml", out / folder.name, device=device)
-    truth = json.loads((folder / "truth.json").read_text())["materials"]
-    rows = []
-    for name, values in truth.items():
-        for key, true in zip(KEYS, values, strict=False):
-            entry = content["materials"][name][key]
-            low, high = entry["interval_95"]
-            rows.append(
-                {
-                    "parameter": f"{name}.{key}",
-                    "truth": true,
-                    "learned": entry["value"],
-                    "interval_95": [low, high],
-                    "identifiable": bool(entry["sd_log"] < 0.5),
-                    "inside": bool(low <= true <= high),
-                }
-            )
-    return {
-        "train": content["train"],
-        "test": content["test"],
-        "words": content["identifiability"]["words"],
-        "parameters": rows,
-    }
-
-
-def case_table(result: dict[str, Any]) -> str:
-    rows = [
-        [
-            row["parameter"],
-            f"{row['truth']:.4g}",
-            f"{row['learned']:.4g}",
-            f"{row['interval_95'][0]:.4g} to {row['interval_95'][1]:.4g}",
-            "yes" if row["inside"] else "no",
-            "yes" if row["identifiable"] else "no",
-        ]
-        for row in result["parameters"]
-    ]
-    header = ("parameter", "truth", "learned", "95 % interval", "holds truth", "identifiable alone")
-    deviance = f"Deviance: train {result['train']['deviance']:.4f}, test {result['test']['deviance']:.4f}."
-    said = "\n".join(f"- {sentence}" for sentence in result["words"])
-    return f"{tables.markdown(header, rows)}\n\n{deviance}\n\n{said}"
-
-
 # ---- commands ----
 
 
@@ -414,15 +366,6 @@ def table6_command(output: Output, seeds: int) -> None:
     """Error after convergence against rays per pixel."""
     content = output.result("table6", lambda: {"fits": sampling_error(output.folder, output.device, seeds=seeds)})
     output.publish(content, {"experiments.table6": sampling_table(content["fits"])})
-
-
-@main.command("case")
-@click.argument("folder", type=click.Path(path_type=Path, file_okay=False, exists=True))
-@with_output
-def case_command(output: Output, folder: Path) -> None:
-    """A case of an independent renderer, with its truth.json."""
-    content = output.result(f"case_{folder.name}", lambda: case_result(folder, output.folder, output.device))
-    output.publish(content, {f"experiments.case.{folder.name}": case_table(content)})
 
 
 @main.command("fields")
