@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-import tempfile
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -24,7 +23,6 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import tables
 
-from warpsar.io.images import write_tiff
 from warpsar.learning.command import LearnOptions, learn
 from warpsar.scene.scene import Scene
 from warpsar.simulation.command import simulate
@@ -96,14 +94,12 @@ ROWS = (  # case, loss, speckle
 )
 
 
-def with_speckle(start: Scene, clean: list[Any], draw: Callable[[tuple[int, ...]], np.ndarray], folder: Path) -> Scene:
+def with_speckle(start: Scene, clean: list[Any], draw: Callable[[tuple[int, ...]], np.ndarray]) -> Scene:
     """The scene with the clean images times one draw of speckle as its measured ones."""
     views = []
     for view, images in zip(start.views, clean, strict=True):
-        paths = {p: folder / f"{view.name}_{p}.tif" for p in images}
-        for polarization, image in images.items():
-            write_tiff(paths[polarization], image * draw(image.shape))
-        views.append(view.model_copy(update={"images": paths}))
+        seen = {channel: (image * draw(image.shape)).astype(np.float32) for channel, image in images.items()}
+        views.append(view.model_copy(update={"images": seen}))
     return replace(start, views=views)
 
 
@@ -123,18 +119,17 @@ def coverage(
     start = replace(truth, materials=materials(START))
     true = np.concatenate([[np.log(eps - 1), np.log(h), np.log(length)] for eps, h, length in TRUTH.values()])
     held, errors, deviations, iterations = [], [], [], []
-    with tempfile.TemporaryDirectory() as folder:
-        for repeat in range(repeats):
-            random = np.random.default_rng([seed, repeat])
-            drawn = with_speckle(start, clean, partial(speckle, random), Path(folder))
-            found = learn(drawn, device=device, options=LearnOptions(starts=1, loss=loss))
-            assert found.identified is not None
-            sd, error = found.identified.sd, found.x - true
-            usable = np.array(found.identified.summary()["identifiable"])
-            held.append(np.where(usable, np.abs(error) <= 1.96 * sd, np.nan))
-            errors.append(error)
-            deviations.append(sd)
-            iterations.append(len(found.history))
+    for repeat in range(repeats):
+        random = np.random.default_rng([seed, repeat])
+        drawn = with_speckle(start, clean, partial(speckle, random))
+        found = learn(drawn, device=device, options=LearnOptions(starts=1, loss=loss))
+        assert found.identified is not None
+        sd, error = found.identified.sd, found.x - true
+        usable = np.array(found.identified.summary()["identifiable"])
+        held.append(np.where(usable, np.abs(error) <= 1.96 * sd, np.nan))
+        errors.append(error)
+        deviations.append(sd)
+        iterations.append(len(found.history))
     table = np.array(held, float)
     return {
         "case": case,

@@ -29,7 +29,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import runs
 import tables
-from towns import KEYS, speckled
+from towns import KEYS, seeing, speckled
 
 from warpsar.diagnosis.found import DiagnoseOptions
 from warpsar.diagnosis.geometry.registry import is_geometry
@@ -37,7 +37,6 @@ from warpsar.diagnosis.models.change import without_object
 from warpsar.diagnosis.result import diagnose
 from warpsar.diagnosis.search import loop as search
 from warpsar.effects.registry import get, names
-from warpsar.io.images import write_tiff
 from warpsar.scene.placing import with_objects
 from warpsar.scene.scene import Scene
 from warpsar.simulation.command import simulate
@@ -151,20 +150,16 @@ def clean_images(case: Case, device: str | None, folder: Path, name: str) -> lis
         return [stored[key] for key in stored.files]
 
 
-def speckle(random: np.random.Generator, shape: tuple[int, int], looks: int, correlated: bool) -> np.ndarray:
-    """Gamma speckle of mean 1, white or that of fields with a Gaussian point-spread function."""
-    return speckled(random, Law(looks), shape, correlated)
-
-
-def measured(images: Sequence[np.ndarray], looks: int, correlated: bool, seed: int, folder: Path) -> Scene:
+def measured(images: Sequence[np.ndarray], looks: int, correlated: bool, seed: int) -> Scene:
     """The scene that is handed to the diagnosis: images with speckle of `seed`, and a start beside the truth."""
     random = np.random.default_rng([seed, looks, int(correlated)])
     scene = truth()
-    views = []
-    for view, image in zip(scene.views, images, strict=True):
-        path = folder / f"{view.name}.tif"
-        write_tiff(path, (image * speckle(random, image.shape, looks, correlated)).astype(np.float32))
-        views.append(view.model_copy(update={"images": {"HH": path}, "looks": float(looks)}))
+    found = dict(zip((view.name for view in scene.views), images, strict=True))
+
+    def seen(view: View) -> np.ndarray:
+        return found[view.name] * speckled(random, Law(looks), found[view.name].shape, correlated)
+
+    views = [view.model_copy(update={"looks": float(looks)}) for view in seeing(scene.views, seen)]
     materials = {}
     for name, (eps_r, h, length) in TRUTH.items():
         a, b, c = np.exp(START_SD * random.standard_normal(3))
@@ -177,19 +172,16 @@ def one_run(
 ) -> dict[str, Any]:
     """`always_bodies`: bodies are tried in every turn, as if a shadow were lit; a diagnosis tries them where something
     asks for them."""
-    import tempfile
-
     name, looks, kind, seed = key
     correlated = kind == "correlated"
     started, used = time.perf_counter(), time.process_time()
     images = clean_images(CASES[name], device, out, name)
-    with tempfile.TemporaryDirectory() as folder:
-        scene = measured(images, looks, correlated, seed, Path(folder))
-        with (
-            patch.object(search, "geometry_candidates", wraps=search.geometry_candidates) as bodies,
-            patch.object(search, "lit_shadows", (lambda _: True) if always_bodies else search.lit_shadows),
-        ):
-            report = diagnose(scene, device=device, options=replace(options, seed=seed))
+    scene = measured(images, looks, correlated, seed)
+    with (
+        patch.object(search, "geometry_candidates", wraps=search.geometry_candidates) as bodies,
+        patch.object(search, "lit_shadows", (lambda _: True) if always_bodies else search.lit_shadows),
+    ):
+        report = diagnose(scene, device=device, options=replace(options, seed=seed))
     found = report.diagnosis
     spot = found.turns[-1].spot
     return {

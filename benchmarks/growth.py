@@ -18,10 +18,8 @@ import json
 import resource
 import subprocess
 import sys
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 from warpsar.runtime import devices
@@ -31,6 +29,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import numpy as np
 import tables
 from peer import gradient_task, smooth_scene, timed
+from scenes import around, measuring
 from simulate import machine, said
 
 Size = dict[str, Any]
@@ -59,20 +58,6 @@ def sizes_of(sweep: str, base: Size) -> list[Size]:
     return [{**base, sweep: type(base[sweep])(base[sweep] * factor)} for factor in (0.25, 0.5, 1.0, 2.0, 4.0)]
 
 
-def speckled(scene: Any, renders: list[Any], folder: Path) -> list[Any]:
-    """The views with images of 16 looks made from their renders."""
-    from warpsar.io.images import write_exr
-
-    rng = np.random.default_rng(0)
-    views = []
-    for view, render in zip(scene.views, renders, strict=True):
-        image = render.forward()["HH"]
-        path = folder / f"{view.name}.exr"
-        write_exr(path, {"HH": (image * rng.gamma(16.0, 1 / 16.0, image.shape)).astype(np.float32)})
-        views.append(view.model_copy(update={"images": {"HH": path}, "looks": 16.0}))
-    return views
-
-
 def measure(size: Size, device_name: str, repeats: int) -> dict[str, Any]:
     """Tracing, fresh images of all views, and one learning iteration over them, in this process."""
     import warp as wp
@@ -90,12 +75,7 @@ def measure(size: Size, device_name: str, repeats: int) -> dict[str, Any]:
             return wp.get_mempool_used_mem_high(device) / 2**30
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
 
-    scene = smooth_scene(size["faces"], tuple(size["pixels"]), size["rays_per_pixel"])
-    turned = [
-        scene.views[0].model_copy(update={"name": f"v{i}", "azimuth_deg": 270.0 + 360.0 * i / size["views"]})
-        for i in range(size["views"])
-    ]
-    scene = replace(scene, views=turned)
+    scene = around(smooth_scene(size["faces"], tuple(size["pixels"]), size["rays_per_pixel"]), size["views"])
     stage = Stage.of(scene, device)
 
     def traced(view: Any) -> Any:
@@ -115,9 +95,8 @@ def measure(size: Size, device_name: str, repeats: int) -> dict[str, Any]:
 
     times = {"trace": timed(trace, synchronize, repeats), "fresh_image": timed(fresh, synchronize, repeats)}
     peak_image = peak_gib()
-    with TemporaryDirectory() as folder:
-        fitted = replace(scene, views=speckled(scene, fresh(), Path(folder)))
-        problem = FitProblem(fitted, device, rays=Rays(stage, seed=0))
+    fitted = measuring(scene, [render.forward()["HH"] for render in fresh()])
+    problem = FitProblem(fitted, device, rays=Rays(stage, seed=0))
     problem.gradient(problem.x0)
     turns = 5 * repeats if device.is_cuda else repeats
     times["iteration"] = timed(gradient_task(problem, device), synchronize, turns)

@@ -26,7 +26,6 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from statistics import median
-from tempfile import TemporaryDirectory
 from typing import Any
 
 from warpsar.runtime import devices
@@ -35,7 +34,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import numpy as np
 import tables
-from scenes import MATERIAL, town_scene
+from scenes import MATERIAL, measuring, town_scene
 from simulate import machine, said
 
 Row = dict[str, float]
@@ -67,7 +66,7 @@ def smooth_scene(faces: int, pixels: tuple[int, int], rays: float) -> Any:
     return replace(scene, radar=scene.radar.model_copy(update={"polarization_basis": "local"}))
 
 
-def ours(scene: Any, device: Any, repeats: int, folder: Path) -> tuple[dict[str, Row], dict[str, Any]]:
+def ours(scene: Any, device: Any, repeats: int) -> tuple[dict[str, Row], dict[str, Any]]:
     """warpsar's timings, and what Mitsuba needs to do the same."""
     import warp as wp
 
@@ -107,7 +106,7 @@ def ours(scene: Any, device: Any, repeats: int, folder: Path) -> tuple[dict[str,
         "image of kept hits": timed(kept["render"].program.forward, synchronize, repeats),
     }
     image = next(iter(render(traced(deposit="nearest")).forward().values()))
-    rows["iteration"], fitted = iteration(scene, kept["stage"], image, device, repeats, folder)
+    rows["iteration"], fitted = iteration(scene, kept["stage"], image, device, repeats)
     return rows, {"image": image, **fitted, **rays_of(scene, kept["stage"], device, geometry, grid, density, seed)}
 
 
@@ -123,22 +122,16 @@ def gradient_task(problem: Any, device: Any) -> Callable[[], Any]:
     return partial(wp.capture_launch, capture.graph)
 
 
-def iteration(
-    scene: Any, stage: Any, image: np.ndarray, device: Any, repeats: int, folder: Path
-) -> tuple[Row, dict[str, Any]]:
+def iteration(scene: Any, stage: Any, image: np.ndarray, device: Any, repeats: int) -> tuple[Row, dict[str, Any]]:
     """Time of image, loss and gradient; the speckled image that is fitted, its gradient, and the merged hits."""
     import warp as wp
 
-    from warpsar.io.images import write_exr
     from warpsar.learning.problem import FitProblem
     from warpsar.simulation.rays import Rays
 
-    speckled = image * np.random.default_rng(0).gamma(16.0, 1 / 16.0, image.shape)
-    write_exr(folder / "west.exr", {"HH": speckled.astype(np.float32)})
-    measured = scene.views[0].model_copy(update={"images": {"HH": folder / "west.exr"}, "looks": 16.0})
     # nearest bins, as Mitsuba's: gradients can be held against one another
     sampling = scene.sampling.model_copy(update={"deposit": "nearest"})
-    fitted = replace(scene, views=[measured], sampling=sampling)
+    fitted = replace(measuring(scene, [image]), sampling=sampling)
     problem = FitProblem(fitted, device, loss="mse", rays=Rays(stage, seed=scene.sampling.seed))
     _, gradient = problem.gradient(problem.x0)
     synchronize = partial(wp.synchronize_device, device)
@@ -148,7 +141,7 @@ def iteration(
     hits = problem.views[0].render.hits
     names = ("face", "pixel", "barycentric", "weight", "cos_incidence")
     return row, {
-        "measured": speckled.astype(np.float32).ravel(),
+        "measured": fitted.measured(fitted.views[0], "HH").ravel(),
         "seen": seen,
         "gradient": gradient,
         "merged": {name: getattr(hits, name).numpy() for name in names},
@@ -360,8 +353,7 @@ def measure(device_name: str, faces: int, pixels: tuple[int, int], rays: float, 
 
     device = devices.resolve_device(device_name)
     scene = smooth_scene(faces, pixels, rays)
-    with TemporaryDirectory() as folder:
-        own, given = ours(scene, device, repeats, Path(folder))
+    own, given = ours(scene, device, repeats)
     found: dict[str, Any] = {
         "faces": len(scene.mesh.faces),
         "vertices": len(scene.mesh.vertices),

@@ -13,7 +13,6 @@ the file's: what there is to be found at all.
 
 import json
 import sys
-import tempfile
 import time
 from collections.abc import Mapping
 from dataclasses import replace
@@ -114,14 +113,12 @@ def one_run(key: str, device: str, minutes: float) -> dict[str, Any]:
     kind, resolution, looks = key.split("|")
     true, declared = (scene_of(storeys, float(resolution), float(looks)) for storeys in MADE[kind])
     random = np.random.default_rng(sum(map(ord, key)))
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        found = Drawn(true, declared, laws(declared), as_it_is)
-        clean = clean_images(found, device)
-        there = seen(found, clean, 1.0, device, folder)
-        scene = replace(declared, views=with_images(random, found, clean, False, folder))
-        begun = time.perf_counter()
-        done = diagnose(scene, device=device, options=DiagnoseOptions(time_limit_s=60.0 * minutes))
+    found = Drawn(true, declared, laws(declared), as_it_is)
+    clean = clean_images(found, device)
+    there = seen(found, clean, 1.0, device)
+    scene = replace(declared, views=with_images(random, found, clean, False))
+    begun = time.perf_counter()
+    done = diagnose(scene, device=device, options=DiagnoseOptions(time_limit_s=60.0 * minutes))
     height = done.diagnosis.objects.get(MIDDLE, {})
     return {
         "number": key,
