@@ -7,20 +7,15 @@ python benchmarks/bands.py --device cpu --faces 20000 --pixels 96 --views 2 --ma
 from __future__ import annotations
 
 import argparse
-import sys
 import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-from warpsar.runtime import devices
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
 import tables
 from scenes import around, measuring, town_scene
 from simulate import machine, said
+
+from warpsar.runtime import devices
 
 
 def measured(scene: Any, stage: Any, trace_memory_gib: float) -> tuple[Any, float]:
@@ -107,7 +102,7 @@ def table(result: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = tables.parser(__doc__)
     parser.add_argument("--device", default="cuda")
     parser.add_argument("--faces", type=int, default=10_000_000)
     parser.add_argument("--pixels", type=int, default=4096, help="of a side")
@@ -116,15 +111,10 @@ def main() -> None:
     parser.add_argument("--trace-memory", type=float, default=8.0, metavar="GIB")
     parser.add_argument("--ways", nargs="+", default=["banded", "kept"], choices=["banded", "kept"])
     parser.add_argument("--step", action="store_true", help="also one step of Levenberg-Marquardt")
-    tables.add_options(parser)
     options = parser.parse_args()
-    if options.source:
-        result = tables.stored(options.source)
-    else:
-        result = {"benchmark": "bands", **machine(options.device), "max_memory_gib": options.max_memory}
-        result |= {name: getattr(options, name) for name in ("faces", "pixels", "views")}
-        result |= measure(options)
-        tables.save(options.out, result)
+    about = {name: getattr(options, name) for name in ("faces", "pixels", "views")}
+    about["max_memory_gib"] = options.max_memory
+    result = tables.result_of(options, lambda: machine(options.device) | about | measure(options))
     tables.publish({f"bands.{result['device'].split(':')[0]}": table(result)}, result, options.write)
 
 

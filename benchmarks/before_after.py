@@ -24,8 +24,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
 WITH = ("point_spread", "registration", "multibounce", "edge_diffraction")
 FITTED_WITH = (None, "point_spread", "registration", "noise_floor", "vegetation")
 

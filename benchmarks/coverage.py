@@ -9,18 +9,13 @@ four times as many. Without --case all four rows of the table are made.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
 import tables
 
 from warpsar.learning.command import LearnOptions, learn
@@ -167,20 +162,19 @@ def table(result: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = tables.parser(__doc__)
     parser.add_argument("--repeats", type=int, default=100)
     parser.add_argument("--case", choices=list(CASES), help="only this one, with --loss and --speckle")
     parser.add_argument("--loss", default="gamma")
     parser.add_argument("--speckle", choices=list(SPECKLE), default="white")
     parser.add_argument("--device")
-    tables.add_options(parser)
     options = parser.parse_args()
     if options.case and options.write:
         parser.error("--write is for the whole table: leave --case out")
     if options.source:
         result = tables.stored(options.source)
     else:
-        result = {"benchmark": "coverage", "made": tables.made(), "runs": []}
+        result = {"made": tables.made(), "runs": []}
         for case, loss, speckle in [(options.case, options.loss, options.speckle)] if options.case else ROWS:
             print(f"{case}, {loss}, {speckle}", file=sys.stderr)
             found = coverage(case, options.repeats, device=options.device, loss=loss, speckle=SPECKLE[speckle])

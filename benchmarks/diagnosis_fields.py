@@ -9,7 +9,6 @@ has its own speckle and its own rays, and begins at uniform maps. docs/diagnosis
 """
 
 import resource
-import sys
 import tempfile
 import time
 from collections.abc import Sequence
@@ -19,9 +18,6 @@ from typing import Any
 
 import click
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
 import runs
 import tables
 from references import DATA, KEYS, changed, clean_images, measured, trained_on

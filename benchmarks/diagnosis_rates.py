@@ -22,11 +22,6 @@ from unittest.mock import patch
 
 import click
 import numpy as np
-
-from warpsar.runtime import devices
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
 import runs
 import tables
 from towns import KEYS, seeing, speckled
@@ -37,6 +32,7 @@ from warpsar.diagnosis.models.change import without_object
 from warpsar.diagnosis.result import diagnose
 from warpsar.diagnosis.search import loop as search
 from warpsar.effects.registry import get, names
+from warpsar.runtime import devices
 from warpsar.scene.placing import with_objects
 from warpsar.scene.scene import Scene
 from warpsar.simulation.command import simulate

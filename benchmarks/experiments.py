@@ -7,7 +7,6 @@ Each command prints its tables and leaves NAME.json, the references and their sc
 the tables into the page; `--from out/experiments/NAME.json` takes them from an earlier run.
 """
 
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -15,10 +14,8 @@ from pathlib import Path
 from typing import Any
 
 import click
-import numpy as np
-
-sys.path.insert(0, str(Path(__file__).parent))  # so that `import experiments` from a test finds its neighbours
 import field_experiment
+import numpy as np
 import tables
 from references import DATA, KEYS, NO_SPECKLE_LOOKS, changed, clean_images, logs, measured, with_rays
 

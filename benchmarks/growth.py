@@ -19,18 +19,15 @@ import resource
 import subprocess
 import sys
 from functools import partial
-from pathlib import Path
 from typing import Any
-
-from warpsar.runtime import devices
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import numpy as np
 import tables
 from peer import gradient_task, smooth_scene, timed
 from scenes import around, measuring
 from simulate import machine, said
+
+from warpsar.runtime import devices
 
 Size = dict[str, Any]
 PAPER_PIXELS = (423, 380)  # of 0.41 x 0.47 m
@@ -175,7 +172,7 @@ def bodies(result: dict[str, Any]) -> dict[str, str]:
 
 def run(options: argparse.Namespace) -> dict[str, Any]:
     """Every size in a process of its own."""
-    result: dict[str, Any] = {"benchmark": "growth", **machine(options.device), "sweeps": {}}
+    result: dict[str, Any] = {**machine(options.device), "sweeps": {}}
     for sweep in options.sweep or SWEEPS:
         rows: list[dict[str, Any]] = []
         for size in sizes_of(sweep, BASE[options.device]):
@@ -189,12 +186,11 @@ def run(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = tables.parser(__doc__)
     parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
     parser.add_argument("--sweep", choices=SWEEPS, action="append", help="may be repeated; default all")
     parser.add_argument("--repeats", type=int, default=3, help="runs of which the median counts")
     parser.add_argument("--one", help=argparse.SUPPRESS)  # a size, as JSON: measured in this process
-    tables.add_options(parser)
     options = parser.parse_args()
     if options.one:
         print(json.dumps(measure(json.loads(options.one), options.device, options.repeats)))

@@ -9,7 +9,6 @@ the intervals alone are judged, and a scene takes seconds. A run appends one lin
 runs that are there already are not made again. docs/diagnosis-rates.md has the results.
 """
 
-import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -17,9 +16,6 @@ from typing import Any
 
 import click
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
 import runs
 import tables
 from runs import bounds

@@ -10,18 +10,11 @@ same device. On the CPU it is the host-side loop.
 
 from __future__ import annotations
 
-import argparse
-import sys
 import time
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 from statistics import median
 from typing import Any
-
-from warpsar.runtime import devices
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import tables
 from scenes import around, measuring, town_scene
@@ -30,6 +23,7 @@ from simulate import machine, said
 from warpsar.learning.adam import Adam, GraphAdam
 from warpsar.learning.optimise import begin
 from warpsar.learning.problem import FitProblem
+from warpsar.runtime import devices
 from warpsar.simulation.command import simulate
 
 
@@ -143,25 +137,21 @@ def table(result: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = tables.parser(__doc__)
     parser.add_argument("--device", help="cpu, cuda, cuda:N; default as the program's")
     parser.add_argument("--faces", type=int, default=100_000)
     parser.add_argument("--pixels", type=int, nargs=2, default=(256, 256), metavar=("ROWS", "COLS"))
     parser.add_argument("--rays-per-pixel", type=float, nargs="+", default=[16.0])
     parser.add_argument("--views", type=int, default=1, help="views around the town")
     parser.add_argument("--repeats", type=int, default=10)
-    tables.add_options(parser)
     options = parser.parse_args()
-    if options.source:
-        result = tables.stored(options.source)
-    else:
-        result = {"benchmark": "iterate", **machine(options.device)}
+
+    def sizes() -> list[dict[str, Any]]:
         device, pixels = devices.resolve_device(options.device), tuple(options.pixels)
-        result["sizes"] = [
-            measure(device, options.faces, pixels, rays, options.views, options.repeats)
-            for rays in options.rays_per_pixel
-        ]
-        tables.save(options.out, result)
+        given = options.views, options.repeats
+        return [measure(device, options.faces, pixels, rays, *given) for rays in options.rays_per_pixel]
+
+    result = tables.result_of(options, lambda: {**machine(options.device), "sizes": sizes()})
     name = f"iterate.{result['device'].split(':')[0]}.views{result['sizes'][0]['views']}"
     tables.publish({name: table(result)}, result, options.write)
 

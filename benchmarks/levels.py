@@ -9,8 +9,6 @@ below it, which the library's surface leaves out.
 
 from __future__ import annotations
 
-import argparse
-
 import numpy as np
 import tables
 
@@ -119,8 +117,7 @@ def choices() -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    tables.add_write(parser)
+    parser = tables.parser(__doc__, stored=False)
     given = parser.parse_args()
     made = {"levels": by_band(), "published": beside(), "choices": choices(), "snow": snow()}
     tables.publish({f"materials.{name}": text for name, text in made.items()}, {"made": tables.made()}, given.write)

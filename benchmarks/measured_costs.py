@@ -24,9 +24,6 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import click
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
 import runs
 import tables
 from simulate import machine, said

@@ -21,12 +21,9 @@ from pathlib import Path
 from typing import Any
 
 import click
-import tomlkit
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
 import runs
 import tables
+import tomlkit
 
 FINE = (0, 4)  # of `diagnose`: done, and something is left unexplained
 OPPOSITE = {"+": "-", "-": "+"}

@@ -6,7 +6,6 @@ python benchmarks/objects.py --table instances --write
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 import time
 from collections.abc import Callable, Mapping
@@ -169,17 +168,11 @@ WORK: dict[str, tuple[Callable[[], list[list[str]]], list[str]]] = {
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = tables.parser(__doc__)
     parser.add_argument("--table", choices=WORK, help="only this one")
-    tables.add_options(parser)
     options = parser.parse_args()
-    if options.source:
-        result = tables.stored(options.source)
-    else:
-        chosen = [options.table] if options.table else WORK
-        rows = {f"objects.{name}": WORK[name][0]() for name in chosen}
-        result = {"benchmark": "objects", "made": tables.made(), "rows": rows}
-        tables.save(options.out, result)
+    chosen = [options.table] if options.table else WORK
+    result = tables.result_of(options, lambda: {"rows": {f"objects.{name}": WORK[name][0]() for name in chosen}})
     headers = {f"objects.{name}": header for name, (_, header) in WORK.items()}
     bodies = {name: tables.markdown(headers[name], rows) for name, rows in result["rows"].items()}
     tables.publish(bodies, result, options.write)

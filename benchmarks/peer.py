@@ -24,18 +24,15 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from statistics import median
 from typing import Any
-
-from warpsar.runtime import devices
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import numpy as np
 import tables
 from scenes import MATERIAL, measuring, town_scene
 from simulate import machine, said
+
+from warpsar.runtime import devices
 
 Row = dict[str, float]
 KEYS = ("rms_height_m", "correlation_length_m", "eps_r")
@@ -372,7 +369,7 @@ def measure(device_name: str, faces: int, pixels: tuple[int, int], rays: float, 
 
 def run(options: argparse.Namespace) -> dict[str, Any]:
     """Each number of rays in a process of its own."""
-    result: dict[str, Any] = {"benchmark": "peer", **machine(options.device), "sizes": []}
+    result: dict[str, Any] = {**machine(options.device), "sizes": []}
     for rays in options.rays_per_pixel:
         command = [sys.executable, __file__, "--one", "--device", options.device, "--faces", str(options.faces)]
         command += ["--pixels", *map(str, options.pixels), "--rays-per-pixel", str(rays)]
@@ -384,14 +381,13 @@ def run(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = tables.parser(__doc__)
     parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
     parser.add_argument("--faces", type=int, default=900_482)
     parser.add_argument("--pixels", type=int, nargs=2, default=(423, 380), metavar=("ROWS", "COLS"))
     parser.add_argument("--rays-per-pixel", type=float, nargs="+", default=[4.0])
     parser.add_argument("--repeats", type=int, default=7, help="runs of which the median counts")
     parser.add_argument("--one", action="store_true", help=argparse.SUPPRESS)  # measured in this process
-    tables.add_options(parser)
     options = parser.parse_args()
     if options.source is None and importlib.util.find_spec("mitsuba") is None:
         parser.error("the peer is not installed: pip install mitsuba (and, for --device cpu, LLVM: Debian's libllvm15)")

@@ -9,7 +9,6 @@ one, each in a process of its own. Time is that of the processor, so other progr
 
 from __future__ import annotations
 
-import argparse
 import json
 import multiprocessing
 import resource
@@ -70,15 +69,10 @@ def table(found: list[dict[str, Any]]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = tables.parser(__doc__)
     parser.add_argument("--sides", nargs="+", type=int, default=list(SIDES))
-    tables.add_options(parser)
     options = parser.parse_args()
-    if options.source:
-        result = tables.stored(options.source)
-    else:
-        result = {"made": tables.made(), "cost": cost(options.sides)}
-        tables.save(options.out, result)
+    result = tables.result_of(options, lambda: {"cost": cost(options.sides)})
     tables.publish({"phase.cost": table(result["cost"])}, result, options.write)
 
 

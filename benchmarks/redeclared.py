@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import re
 import shutil
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -21,12 +20,9 @@ from pathlib import Path
 
 import click
 import numpy as np
-import trimesh
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
 import runs
 import tables
+import trimesh
 
 from warpsar.diagnosis import command
 from warpsar.diagnosis.found import DiagnoseOptions

@@ -23,13 +23,10 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-
-from warpsar.runtime import devices
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
 import tables
 from simulate import machine, said
+
+from warpsar.runtime import devices
 
 STEPS = 5  # of GraphAdam, ten iterations each; as many iterations of Adam on the CPU
 RAYS_PER_PIXEL = 32.0
@@ -257,14 +254,13 @@ def bodies(result: dict[str, Any]) -> dict[str, str]:
 
 def run(options: argparse.Namespace) -> dict[str, Any]:
     """Every number of processes, one after the other."""
-    result: dict[str, Any] = {"benchmark": "scaling", **machine(options.device), "entries": []}
+    result: dict[str, Any] = {**machine(options.device), "entries": []}
     sizes = ("faces", "pixels", "views", "iterations", "images")
     result |= {name: getattr(options, name) for name in sizes}
     for count in options.ranks:
         with TemporaryDirectory() as folder:
-            safe = ["-P"] if sys.flags.safe_path else []
-            command = [sys.executable, *safe, "-m", "torch.distributed.run", "--standalone", "--no-python"]
-            command += ["--nproc-per-node", str(count), sys.executable, *safe, __file__, "--folder", folder]
+            command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--no-python"]
+            command += ["--nproc-per-node", str(count), sys.executable, __file__, "--folder", folder]
             for name in ("device", *sizes):
                 command += [f"--{name}", str(getattr(options, name))]
             threads = {"WARPSAR_THREADS": "1"} if options.device == "cpu" else {}
@@ -276,7 +272,7 @@ def run(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = tables.parser(__doc__)
     parser.add_argument("--device", default="cuda", help="cpu or cuda")
     parser.add_argument("--ranks", type=int, nargs="+", default=[1, 2, 4])
     parser.add_argument("--faces", type=int, default=900_000)
@@ -285,7 +281,6 @@ def main() -> None:
     parser.add_argument("--iterations", type=int, default=100, help="of the whole of learn")
     parser.add_argument("--images", type=int, default=1000)
     parser.add_argument("--folder", help=argparse.SUPPRESS)
-    tables.add_options(parser)
     options = parser.parse_args()
     if options.folder:
         work(options)

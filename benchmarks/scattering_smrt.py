@@ -9,7 +9,6 @@ writes its numbers, which tests/models/test_smrt.py holds the kernels against.
 
 from __future__ import annotations
 
-import argparse
 import csv
 import importlib.metadata
 import itertools
@@ -116,9 +115,8 @@ def table_of(rows: list[dict[str, Any]]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = tables.parser(__doc__, stored=False)
     parser.add_argument("--golden", type=Path, help="where SMRT's numbers go (CSV)")
-    tables.add_write(parser)
     given = parser.parse_args()
     wp.config.log_level = wp.LOG_WARNING
     rows = theirs()

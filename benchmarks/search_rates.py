@@ -13,7 +13,6 @@ again. docs/diagnosis-rates.md has the results.
 
 import json
 import math
-import sys
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -22,13 +21,10 @@ from typing import Any
 
 import click
 import numpy as np
-from scipy.ndimage import gaussian_filter, gaussian_filter1d, map_coordinates
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
 import runs
 import tables
 from runs import bounds
+from scipy.ndimage import gaussian_filter, gaussian_filter1d, map_coordinates
 from towns import (
     KEYS,
     SEEN,

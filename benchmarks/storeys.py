@@ -12,7 +12,6 @@ the file's: what there is to be found at all.
 """
 
 import json
-import sys
 import time
 from collections.abc import Mapping
 from dataclasses import replace
@@ -21,9 +20,6 @@ from typing import Any
 
 import click
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
 import runs
 import tables
 from search_rates import block, clean_images

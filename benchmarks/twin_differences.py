@@ -12,7 +12,6 @@ to runs.jsonl in the folder; runs that are there already are not made again.
 """
 
 import re
-import sys
 import tempfile
 import time
 from collections import Counter
@@ -23,13 +22,10 @@ from typing import Any
 
 import click
 import numpy as np
-from scipy.ndimage import distance_transform_edt, gaussian_filter
-from scipy.spatial import cKDTree
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
 import runs
 import tables
+from scipy.ndimage import distance_transform_edt, gaussian_filter
+from scipy.spatial import cKDTree
 
 import warpsar
 from warpsar.formats import registry
