@@ -11,7 +11,6 @@ has its own speckle and its own rays, and begins at uniform maps. docs/diagnosis
 import resource
 import tempfile
 import time
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -118,7 +117,8 @@ def run(
     )  # fmt: skip
 
 
-def rates(rows: Sequence[dict[str, Any]]) -> str:
+@runs.table(main)
+def table(rows: list[runs.Row]) -> dict[str, str]:
     """Markdown: a line per case and number of looks."""
     lines = []
     for case in CASES:
@@ -146,16 +146,8 @@ def rates(rows: Sequence[dict[str, Any]]) -> str:
                 ]
             )
     header = ["in the images", "looks", "runs", "named", "unexplained", "no field imitates", "not testable"]
-    return tables.markdown([*header, "test deviance", "time", "CPU time", "memory"], lines)
-
-
-@main.command()
-@runs.out
-@runs.write
-def table(out: Path, write: bool) -> None:
-    """Markdown of what the folder holds."""
-    rows = runs.stored(out)
-    tables.publish({"diagnosis_fields": rates(rows)}, runs.oldest(rows), write)
+    head = [*header, "test deviance", "time", "CPU time", "memory"]
+    return {"diagnosis_fields": tables.markdown(head, lines)}
 
 
 if __name__ == "__main__":

@@ -111,12 +111,10 @@ def run(out: Path, first: int, scenes: int, jobs: int, max_time: float, device: 
     )  # fmt: skip
 
 
-@main.command()
-@runs.out
-@runs.write
-def table(out: Path, write: bool) -> None:
+@runs.table(main)
+def table(rows: list[runs.Row]) -> dict[str, str]:
     """The rates of the runs that are there."""
-    rows = [row for row in runs.stored(out) if row["kinds"] is not None]
+    rows = [row for row in rows if row["kinds"] is not None]
     by_key: dict[str, list[list[Any]]] = {}
     for row in rows:
         for name, *of in row["intervals"]:
@@ -139,11 +137,11 @@ def table(out: Path, write: bool) -> None:
             ]
         )
     head = ["", "intervals", "hold the truth", "95 %", "of these, one end is a bound", "not told"]
-    tables.publish({"interval_rates": tables.markdown(head, lines)}, runs.oldest(rows), write)
     seconds = [row["cpu_seconds"] for row in rows]
     click.echo(
         f"{len(rows)} scenes; CPU seconds of the intervals: median {np.median(seconds):.2f}, most {max(seconds):.1f}"
     )
+    return {"interval_rates": tables.markdown(head, lines)}
 
 
 if __name__ == "__main__":

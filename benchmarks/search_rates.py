@@ -556,12 +556,9 @@ def run(out: Path, first: int, scenes: int, jobs: int, minutes: float, max_time:
     )  # fmt: skip
 
 
-@main.command()
-@runs.out
-@runs.write
-def table(out: Path, write: bool) -> None:
+@runs.table(main)
+def table(rows: list[runs.Row]) -> dict[str, str]:
     """The rates of the runs that are there."""
-    rows = runs.stored(out)
     lines = []
     for group, kinds in (("nothing", ["nothing"]), ("known", [*KNOWN, "several"]), ("outside", [*OUTSIDE])):
         for kind in kinds:
@@ -597,11 +594,10 @@ def table(out: Path, write: bool) -> None:
             )
             sums.append([f"intervals of {what} that are withheld", f"{len(mine) - len(told)} of {len(mine)}", ""])
     head = ["", "wrong", "scenes", *OUTCOMES, "median [s]"]
-    bodies = {
+    return {
         "search_rates": tables.markdown(head, lines),
         "search_rates_sums": tables.markdown(["", "scenes", "95 %"], sums),
     }
-    tables.publish(bodies, runs.oldest(rows), write)
 
 
 def label(row: Mapping[str, Any]) -> str:

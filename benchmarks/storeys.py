@@ -181,23 +181,21 @@ def run(
     )  # fmt: skip
 
 
-@main.command()
-@runs.out
-@runs.write
-def table(out: Path, write: bool) -> None:
+@runs.table(main)
+def table(rows: list[runs.Row]) -> dict[str, str]:
     """What was answered, and what there is to be found; rows without a run are left out."""
-    rows = {row["number"]: row for row in runs.stored(out)}
+    by_key = {row["number"]: row for row in rows}
     body = []
     for kind in MADE:
         for looks in LOOKS:
             line = [kind, f"{looks:g}"]
             for at in RESOLUTIONS_M:
-                row = rows.get(f"{kind}|{at:g}|{looks:g}")
+                row = by_key.get(f"{kind}|{at:g}|{looks:g}")
                 line.append("not run" if row is None else f"{answer(row)} ({row['there']:.0f})")
-            if any(f"{kind}|{at:g}|{looks:g}" in rows for at in RESOLUTIONS_M):
+            if any(f"{kind}|{at:g}|{looks:g}" in by_key for at in RESOLUTIONS_M):
                 body.append(line)
     head = ["wrong", "looks", *(f"{at:g} m" for at in RESOLUTIONS_M)]
-    tables.publish({"storeys": tables.markdown(head, body)}, runs.oldest(rows.values()), write)
+    return {"storeys": tables.markdown(head, body)}
 
 
 if __name__ == "__main__":

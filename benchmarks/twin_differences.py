@@ -275,12 +275,9 @@ def run(folder: str, out: Path, seeds: int, first: int, jobs: int, max_time: flo
     )  # fmt: skip
 
 
-@main.command()
-@runs.out
-@runs.write
-def table(out: Path, write: bool) -> None:
+@runs.table(main)
+def table(rows: list[runs.Row]) -> dict[str, str]:
     """What was named, and how often intervals held the truth."""
-    rows = runs.stored(out)
     body = []
     for relief in RELIEF:
         for kind, words in WRONG.items():
@@ -291,7 +288,7 @@ def table(out: Path, write: bool) -> None:
             inside = "" if kind == "nothing" else f"{sum(held)} of {len(held)}"
             body.append([relief, words, len(mine), counts["right"], counts["silent"], wrongly or "0", inside])
     head = ["ground", "wrong", "images", "named", "nothing named", "named otherwise", "95 % interval holds the truth"]
-    tables.publish({"twin.differences": tables.markdown(head, body)}, runs.oldest(rows), write)
+    return {"twin.differences": tables.markdown(head, body)}
 
 
 if __name__ == "__main__":
