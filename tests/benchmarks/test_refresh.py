@@ -186,7 +186,7 @@ def test_the_tables_of_this_checkout_can_be_read() -> None:
         python, script = table.command.split()[:2]
         assert python == "python"
         source = (ROOT / script).read_text()
-        assert any(way in source for way in ("tables.parser(", "@runs.write", '"--write"')), script
+        assert any(way in source for way in ("tables.parser(", "@runs.table(", "@runs.write", '"--write"')), script
 
 
 # ---- what the pictures and the rates of the docs ask of an effect ----
