@@ -358,14 +358,10 @@ def written(found: dict[str, Any]) -> list[tuple[str, str]]:
         size = f"{one['views']} views of {one['faces']:,} faces, {one['pixels'][0]} x {one['pixels'][1]}"
         files = [f"{label} {each[name]:.3g} s" if name in each else f"{label} skipped: no sarkit"
                  for name, label in (("npz", "with its npz"), ("sicd", "with its SICD"))]  # fmt: skip
-        own = f"{each['slc']:.3g} s"
-        if "body" in each:
-            own += f" (of it the body, once for all views, {each['body']:.3g} s)"
+        own = f"{each['slc']:.3g} s (of it the body, once for all views, {each['body']:.3g} s)"
         rows.append((f"a direct complex image of {size}", ", ".join([own, *files])))
-        ratio = f"{each['slc'] / each['beta0']:.2g} times less"
-        if "processor_s_each" in one:
-            spent = one["processor_s_each"]
-            ratio += f", {spent['slc'] / spent['beta0']:.2g} times of the processor's time"
+        ratio, spent = f"{each['slc'] / each['beta0']:.2g} times less", one["processor_s_each"]
+        ratio += f", {spent['slc'] / spent['beta0']:.2g} times of the processor's time"
         rows.append(("beta0 of the same views", f"{each['beta0']:.3g} s, with its EXR {each['exr']:.3g} s: {ratio}"))
     if "large" in found:
         one = found["large"]

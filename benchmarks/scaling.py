@@ -34,25 +34,22 @@ RAYS_PER_PIXEL = 32.0
 
 def town_of(ranks: Any, device: Any, options: argparse.Namespace, folder: Path) -> Any:
     """The town with a field of three parameters per vertex, and images of it from all around, brighter than its own."""
-    from scenes import town_scene
+    from scenes import LOOKS, around, town_scene
 
     from warpsar.io.images import write_tiff
     from warpsar.simulation.command import Simulation
     from warpsar.surface.stage import Stage
-    from warpsar.world.tables import View
 
     scene = town_scene(options.faces, (options.pixels, options.pixels), RAYS_PER_PIXEL, layout="vertex")
-    angles = [360.0 * i / options.views for i in range(options.views)]
-    views = [View(name=f"v{i}", azimuth_deg=a, incidence_deg=45.0, looks=16.0) for i, a in enumerate(angles)]
-    scene = replace(scene, views=views)
+    scene = around(scene, options.views, 0.0)
     made = Simulation(scene, Stage.of(scene, device))
-    for index, view in enumerate(views):
+    for index, view in enumerate(scene.views):
         if index % ranks.size == ranks.rank:
             write_tiff(folder / f"{view.name}.tif", 1.3 * made.view(view, index).beta0["HH"])  # not the start
     del made
     ranks.barrier()
-    views = [view.model_copy(update={"images": {"HH": folder / f"{view.name}.tif"}}) for view in views]
-    return replace(scene, views=views)
+    seen = [{"images": {"HH": folder / f"{view.name}.tif"}, "looks": LOOKS} for view in scene.views]
+    return replace(scene, views=[view.model_copy(update=one) for view, one in zip(scene.views, seen, strict=True)])
 
 
 def timed(ranks: Any, device: Any, task: Callable[[], Any]) -> tuple[float, Any]:
