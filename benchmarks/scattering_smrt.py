@@ -12,7 +12,6 @@ from __future__ import annotations
 import csv
 import importlib.metadata
 import itertools
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -65,7 +64,6 @@ def ours_db(rows: list[dict[str, Any]], channel: str) -> np.ndarray:
 
 def theirs() -> list[dict[str, Any]]:
     """SMRT's numbers, a row for each model and surface."""
-    sys.modules.setdefault("coverage", None)  # type: ignore[arg-type]  # numba would take benchmarks/coverage.py for it
     from smrt.interface.iem_fung92 import IEM_Fung92
     from smrt.interface.iem_fung92_brogioni10 import IEM_Fung92_Briogoni10
 

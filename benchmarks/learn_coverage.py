@@ -1,7 +1,7 @@
 """How honest the intervals of `warpsar learn` are: one scene, many draws of the speckle, how often they hold the truth.
 
-    python benchmarks/coverage.py --out coverage.json [--write]
-    python benchmarks/coverage.py --repeats 30 --case hh_incidences
+    python benchmarks/learn_coverage.py --out coverage.json [--write]
+    python benchmarks/learn_coverage.py --repeats 30 --case hh_incidences
 
 A cube on a plane, both within the domain of small perturbation. Images are drawn with other rays than the fit's, and
 four times as many. Without --case all four rows of the table are made.
