@@ -117,12 +117,12 @@ def as_it_is(name: str, image: np.ndarray) -> np.ndarray:
     return image
 
 
-def laws(scene: Scene, texture: float = math.inf, factor: float = 1.0, only: str = "") -> dict[str, Law]:
-    """The laws of the views' declared looks, times a factor (in one view, or in all)."""
+def laws(scene: Scene, texture: float = math.inf, factor: float = 1.0) -> dict[str, Law]:
+    """The laws of the views' declared looks, times a factor."""
     found = {}
     for view in scene.views:
         assert view.looks is not None
-        found[view.name] = Law(view.looks * (factor if only in ("", view.name) else 1.0), texture)
+        found[view.name] = Law(view.looks * factor, texture)
     return found
 
 
