@@ -15,11 +15,7 @@ whatever else the machine does.
 from __future__ import annotations
 
 import argparse
-import sys
-from pathlib import Path
 from typing import Any
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import numpy as np
 import tables
@@ -193,22 +189,21 @@ def written(found: dict[str, Any], cpu: bool) -> list[tuple[str, str, str, str]]
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = tables.parser(__doc__)
     parser.add_argument("--device")
     parser.add_argument("--pixels", type=int, default=8192)
     parser.add_argument("--pulses", type=int, default=2048)
     parser.add_argument("--slant-range", type=float, default=770e3, help="[m]")
     parser.add_argument("--step", type=float, default=0.7, help="of pixels on level ground [m]")
     parser.add_argument("--variants", action="store_true", help="threads of other sizes, and linear interpolation")
-    tables.add_options(parser)
     options = parser.parse_args()
-    if options.source:
-        result = tables.stored(options.source)
-    else:
-        device = devices.resolve_device(options.device)
-        result = {"backprojection": measured(options, device)}
-        result |= {"made": tables.made(), "machine": machine(options.device)}
-        tables.save(options.out, result)
+    result = tables.result_of(
+        options,
+        lambda: {
+            "backprojection": measured(options, devices.resolve_device(options.device)),
+            "machine": machine(options.device),
+        },
+    )
     one = result["backprojection"]
     header = (f"{one['pixels']:,} pixels x {one['pulses']:,} pulses", "time", "pixel-pulses/s", "signal to error")
     kind = result["machine"]["device"].partition(":")[0]

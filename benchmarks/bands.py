@@ -7,52 +7,28 @@ python benchmarks/bands.py --device cpu --faces 20000 --pixels 96 --views 2 --ma
 from __future__ import annotations
 
 import argparse
-import sys
 import time
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+import tables
+from scenes import around, measuring, town_scene
+from simulate import machine, said
 
 from warpsar.runtime import devices
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-import tables
-from simulate import machine, said
-
-
-def around(options: argparse.Namespace) -> Any:
-    """The town seen from all sides."""
-    from scenes import town_scene
-
-    from warpsar.world.tables import View
-
-    scene = town_scene(options.faces, (options.pixels, options.pixels), 64.0)
-    angles = [360.0 * i / options.views for i in range(options.views)]
-    views = [View(name=f"v{i}", azimuth_deg=a, incidence_deg=45.0, looks=16.0) for i, a in enumerate(angles)]
-    return replace(scene, views=views)
-
-
-def measured(scene: Any, stage: Any, trace_memory_gib: float, folder: Path) -> tuple[Any, float]:
+def measured(scene: Any, stage: Any, trace_memory_gib: float) -> tuple[Any, float]:
     """The scene with images, brighter than it makes them, and the median seconds of an image."""
-    from warpsar.io.images import write_tiff
     from warpsar.simulation.command import Simulation
 
     made = Simulation(scene, stage, max_memory_gib=trace_memory_gib)
-    seconds, views = [], []
-    with ThreadPoolExecutor(8) as pool:  # files, while the next image is traced
-        for index, view in enumerate(scene.views):
-            started = time.perf_counter()
-            image = 1.3 * made.view(view, index).beta0["HH"]
-            seconds.append(time.perf_counter() - started)
-            path = folder / f"{view.name}.tif"
-            pool.submit(write_tiff, path, image)
-            views.append(view.model_copy(update={"images": {"HH": path}}))
-    return replace(scene, views=views), float(np.median(seconds))
+    seconds, images = [], []
+    for index, view in enumerate(scene.views):
+        started = time.perf_counter()
+        images.append(1.3 * made.view(view, index).beta0["HH"])
+        seconds.append(time.perf_counter() - started)
+    return measuring(scene, images, speckled=False), float(np.median(seconds))
 
 
 def fitted(scene: Any, stage: Any, device: Any, gib: float | None, step: bool) -> tuple[dict[str, Any], np.ndarray]:
@@ -84,12 +60,13 @@ def fitted(scene: Any, stage: Any, device: Any, gib: float | None, step: bool) -
     return found, gradient
 
 
-def measure(options: argparse.Namespace, folder: Path) -> dict[str, Any]:
+def measure(options: argparse.Namespace) -> dict[str, Any]:
     from warpsar.surface.stage import Stage
 
-    scene, device = around(options), devices.resolve_device(options.device)
+    scene = around(town_scene(options.faces, (options.pixels, options.pixels), 64.0), options.views, 0.0)
+    device = devices.resolve_device(options.device)
     stage = Stage.of(scene, device)
-    scene, image_s = measured(scene, stage, options.trace_memory, folder)
+    scene, image_s = measured(scene, stage, options.trace_memory)
     found: dict[str, Any] = {"image_s": image_s, "ways": {}}
     gradients = []
     for name, gib in (("banded", options.max_memory), ("kept", None)):
@@ -125,7 +102,7 @@ def table(result: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = tables.parser(__doc__)
     parser.add_argument("--device", default="cuda")
     parser.add_argument("--faces", type=int, default=10_000_000)
     parser.add_argument("--pixels", type=int, default=4096, help="of a side")
@@ -134,16 +111,10 @@ def main() -> None:
     parser.add_argument("--trace-memory", type=float, default=8.0, metavar="GIB")
     parser.add_argument("--ways", nargs="+", default=["banded", "kept"], choices=["banded", "kept"])
     parser.add_argument("--step", action="store_true", help="also one step of Levenberg-Marquardt")
-    tables.add_options(parser)
     options = parser.parse_args()
-    if options.source:
-        result = tables.stored(options.source)
-    else:
-        result = {"benchmark": "bands", **machine(options.device), "max_memory_gib": options.max_memory}
-        result |= {name: getattr(options, name) for name in ("faces", "pixels", "views")}
-        with TemporaryDirectory() as folder:
-            result |= measure(options, Path(folder))
-        tables.save(options.out, result)
+    about = {name: getattr(options, name) for name in ("faces", "pixels", "views")}
+    about["max_memory_gib"] = options.max_memory
+    result = tables.result_of(options, lambda: machine(options.device) | about | measure(options))
     tables.publish({f"bands.{result['device'].split(':')[0]}": table(result)}, result, options.write)
 
 

@@ -5,8 +5,8 @@
 `BEFORE` and `AFTER` are folders with a checkout each; neither need be installed. Their processes take turns, so that
 other work on the machine falls on both, and of every step the least time counts: CPU seconds of all threads on the CPU,
 which other programs change less, and wall time on CUDA. Steps: rays to hits, image and
-gradient of hits that are kept, exact areas, an image with blur, and paths of several bounces; the town of
-benchmarks/scenes.py, and the example.
+gradient of hits that are kept, exact areas, an image with blur, paths of several bounces, and the making of fit
+problems, of which `diagnose` makes hundreds; the town of benchmarks/scenes.py, and the example.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
 WITH = ("point_spread", "registration", "multibounce", "edge_diffraction")
+FITTED_WITH = (None, "point_spread", "registration", "noise_floor", "vegetation")
 
 
 def measured(device_name: str, faces: int, repeats: int, only: str) -> dict[str, Any]:
@@ -35,9 +35,11 @@ def measured(device_name: str, faces: int, repeats: int, only: str) -> dict[str,
     from scenes import example_with, town_scene
 
     from warpsar.effects.registry import declared
+    from warpsar.learning.problem import FitProblem
     from warpsar.render.render import ViewRender
     from warpsar.runtime import devices
-    from warpsar.simulation.rays import hit_grid, view_seed
+    from warpsar.simulation.command import simulate
+    from warpsar.simulation.rays import Rays, hit_grid, view_seed
     from warpsar.surface.stage import Stage
     from warpsar.trace.exact import exact_hits
     from warpsar.trace.trace import trace
@@ -109,6 +111,19 @@ def measured(device_name: str, faces: int, repeats: int, only: str) -> dict[str,
             return ViewRender(stage, view, hits, scene.grid.shape, scene.radar.polarizations, declared(scene, view))
 
         image_and_gradient(effect, step(f"{effect}: recorded", made, lambda render: list(render.forward().values()), 3))
+    if only in "fit problem":
+        scene, observations = example_with(None, 64.0), None
+        images = {one.name: one.beta0 for one in simulate(scene, device=device.alias)}
+        seen = [view.model_copy(update={"images": images[view.name], "looks": 4.0}) for view in scene.views]
+        rays = Rays(Stage.of(scene, device), seed=scene.sampling.seed)
+        for effect in FITTED_WITH:
+
+            def problem(effect: str | None = effect, observations: Any = observations) -> FitProblem:
+                asked = replace(example_with(effect, 64.0), views=seen)
+                return FitProblem(asked, device, rays=rays, observations=observations)
+
+            kept = step(f"fit problem{f' with {effect}' if effect else ''}", problem, FitProblem.modelled_as_declared)
+            observations = {view.view.name: view.observations for view in kept.views}
     return found
 
 

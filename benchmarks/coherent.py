@@ -21,15 +21,11 @@ more rays.
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import os
-import sys
 import time
 from pathlib import Path
 from typing import Any
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import numpy as np
 import tables
@@ -206,7 +202,7 @@ def row(r: dict[str, Any]) -> tuple[Any, ...]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = tables.parser(__doc__)
     default = Path(os.environ.get("WARPSAR_MEASURED") or ROOT.parent / "shared" / "data") / "austin_rcs"
     parser.add_argument("data", type=Path, nargs="?", default=default)
     parser.add_argument("--device")
@@ -215,7 +211,6 @@ def main() -> None:
     parser.add_argument("--growth", action="store_true", help="also how the time of the cobra duct grows")
     parser.add_argument("--gradients", action="store_true", help="also what gradients to all vertices take")
     parser.add_argument("--large", action="store_true", help="also a direction of the aircraft in its full size")
-    tables.add_options(parser)
     options = parser.parse_args()
     if options.source:
         result = tables.stored(options.source)

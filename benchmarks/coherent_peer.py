@@ -10,15 +10,10 @@ integral in NumPy, face by face.
 
 from __future__ import annotations
 
-import argparse
-import sys
+import dataclasses
 import time
 from pathlib import Path
 from typing import Any
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
-import dataclasses
 
 import numpy as np
 import tables
@@ -104,12 +99,9 @@ def measure() -> list[dict[str, Any]]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    tables.add_options(parser)
+    parser = tables.parser(__doc__)
     options = parser.parse_args()
-    result = tables.stored(options.source) if options.source else {"made": tables.made(), "rows": measure()}
-    if not options.source:
-        tables.save(options.out, result)
+    result = tables.result_of(options, lambda: {"rows": measure()})
     header = ("program", "angles", "CPU [s]", "error of the amplitude", "mean abs(dB)")
     rows = [
         (r["program"], r["angles"], f"{r['cpu_s']:.2f}", f"{r['error']:.1e}", f"{r['decibels']:.3f}")

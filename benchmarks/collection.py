@@ -15,7 +15,6 @@ What --out holds already is not measured again. `--small` is a trial of a few se
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 import tempfile
@@ -25,8 +24,6 @@ from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import numpy as np
 import tables
@@ -361,14 +358,10 @@ def written(found: dict[str, Any]) -> list[tuple[str, str]]:
         size = f"{one['views']} views of {one['faces']:,} faces, {one['pixels'][0]} x {one['pixels'][1]}"
         files = [f"{label} {each[name]:.3g} s" if name in each else f"{label} skipped: no sarkit"
                  for name, label in (("npz", "with its npz"), ("sicd", "with its SICD"))]  # fmt: skip
-        own = f"{each['slc']:.3g} s"
-        if "body" in each:
-            own += f" (of it the body, once for all views, {each['body']:.3g} s)"
+        own = f"{each['slc']:.3g} s (of it the body, once for all views, {each['body']:.3g} s)"
         rows.append((f"a direct complex image of {size}", ", ".join([own, *files])))
-        ratio = f"{each['slc'] / each['beta0']:.2g} times less"
-        if "processor_s_each" in one:
-            spent = one["processor_s_each"]
-            ratio += f", {spent['slc'] / spent['beta0']:.2g} times of the processor's time"
+        ratio, spent = f"{each['slc'] / each['beta0']:.2g} times less", one["processor_s_each"]
+        ratio += f", {spent['slc'] / spent['beta0']:.2g} times of the processor's time"
         rows.append(("beta0 of the same views", f"{each['beta0']:.3g} s, with its EXR {each['exr']:.3g} s: {ratio}"))
     if "large" in found:
         one = found["large"]
@@ -401,11 +394,10 @@ def written(found: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = tables.parser(__doc__)
     parser.add_argument("--device")
     parser.add_argument("--only", nargs="+", choices=WORK, default=list(WORK))
     parser.add_argument("--small", action="store_true")
-    tables.add_options(parser)
     options = parser.parse_args()
     if options.source:
         result = tables.stored(options.source)

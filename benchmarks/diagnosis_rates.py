@@ -9,7 +9,6 @@ A run appends one line of JSON to runs.jsonl in the folder; runs that are there 
 has its own speckle, its own rays and its own wrong start. docs/diagnosis-rates.md has the results.
 """
 
-import json
 import sys
 import time
 from collections import Counter
@@ -18,26 +17,19 @@ from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
 from typing import Any
-from unittest.mock import patch
 
 import click
 import numpy as np
-
-from warpsar.runtime import devices
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
 import runs
 import tables
-from towns import KEYS, speckled
+from towns import KEYS, seeing, speckled
 
 from warpsar.diagnosis.found import DiagnoseOptions
 from warpsar.diagnosis.geometry.registry import is_geometry
 from warpsar.diagnosis.models.change import without_object
 from warpsar.diagnosis.result import diagnose
-from warpsar.diagnosis.search import loop as search
 from warpsar.effects.registry import get, names
-from warpsar.io.images import write_tiff
+from warpsar.runtime import devices
 from warpsar.scene.placing import with_objects
 from warpsar.scene.scene import Scene
 from warpsar.simulation.command import simulate
@@ -151,20 +143,16 @@ def clean_images(case: Case, device: str | None, folder: Path, name: str) -> lis
         return [stored[key] for key in stored.files]
 
 
-def speckle(random: np.random.Generator, shape: tuple[int, int], looks: int, correlated: bool) -> np.ndarray:
-    """Gamma speckle of mean 1, white or that of fields with a Gaussian point-spread function."""
-    return speckled(random, Law(looks), shape, correlated)
-
-
-def measured(images: Sequence[np.ndarray], looks: int, correlated: bool, seed: int, folder: Path) -> Scene:
+def measured(images: Sequence[np.ndarray], looks: int, correlated: bool, seed: int) -> Scene:
     """The scene that is handed to the diagnosis: images with speckle of `seed`, and a start beside the truth."""
     random = np.random.default_rng([seed, looks, int(correlated)])
     scene = truth()
-    views = []
-    for view, image in zip(scene.views, images, strict=True):
-        path = folder / f"{view.name}.tif"
-        write_tiff(path, (image * speckle(random, image.shape, looks, correlated)).astype(np.float32))
-        views.append(view.model_copy(update={"images": {"HH": path}, "looks": float(looks)}))
+    found = dict(zip((view.name for view in scene.views), images, strict=True))
+
+    def seen(view: View) -> np.ndarray:
+        return found[view.name] * speckled(random, Law(looks), found[view.name].shape, correlated)
+
+    views = [view.model_copy(update={"looks": float(looks)}) for view in seeing(scene.views, seen)]
     materials = {}
     for name, (eps_r, h, length) in TRUTH.items():
         a, b, c = np.exp(START_SD * random.standard_normal(3))
@@ -172,24 +160,13 @@ def measured(images: Sequence[np.ndarray], looks: int, correlated: bool, seed: i
     return replace(scene, views=views, materials=materials, sampling=Sampling(seed=seed))
 
 
-def one_run(
-    key: tuple[str, int, str, int], options: DiagnoseOptions, device: str, out: Path, always_bodies: bool = False
-) -> dict[str, Any]:
-    """`always_bodies`: bodies are tried in every turn, as if a shadow were lit; a diagnosis tries them where something
-    asks for them."""
-    import tempfile
-
+def one_run(key: tuple[str, int, str, int], options: DiagnoseOptions, device: str, out: Path) -> dict[str, Any]:
     name, looks, kind, seed = key
     correlated = kind == "correlated"
     started, used = time.perf_counter(), time.process_time()
     images = clean_images(CASES[name], device, out, name)
-    with tempfile.TemporaryDirectory() as folder:
-        scene = measured(images, looks, correlated, seed, Path(folder))
-        with (
-            patch.object(search, "geometry_candidates", wraps=search.geometry_candidates) as bodies,
-            patch.object(search, "lit_shadows", (lambda _: True) if always_bodies else search.lit_shadows),
-        ):
-            report = diagnose(scene, device=device, options=replace(options, seed=seed))
+    scene = measured(images, looks, correlated, seed)
+    report = diagnose(scene, device=device, options=replace(options, seed=seed))
     found = report.diagnosis
     spot = found.turns[-1].spot
     return {
@@ -205,7 +182,6 @@ def one_run(
         "effects": found.final.scene.effects,
         "objects": found.objects,
         "turns": len(found.turns),
-        "turns_with_bodies": bodies.call_count,
         "bodies": sorted({c.effect for turn in found.turns for c in turn.candidates if is_geometry(c.effect)}),
         "scores": {c.effect: round(c.minus_log_p, 2) for c in found.turns[0].candidates if c.testability == "testable"},
         "not_testable": [c.effect for c in found.turns[0].candidates if c.testability == "not_testable"],
@@ -244,7 +220,6 @@ def main() -> None:
 @runs.max_time
 @click.option("--family-error", type=float, default=DiagnoseOptions.family_error, show_default=True)
 @runs.draws
-@click.option("--always-bodies", is_flag=True, help="Try bodies in every turn. Such runs need a folder of their own.")
 @runs.device
 def run(
     out: Path,
@@ -256,7 +231,6 @@ def run(
     max_time: float,
     family_error: float,
     draws: int,
-    always_bodies: bool,
     device: str | None,
 ) -> None:
     """Make the runs that are not in the folder yet."""
@@ -272,7 +246,7 @@ def run(
         out, wanted(cases, numbers, kinds or ("white", "correlated"), repeats), one_run,
         lambda row: f"{row['case']}, {row['looks']} looks, {row['speckle']}, seed {row['seed']}: {row['verdict']}"
         f"{' unexplained' if row['unexplained'] else ''}, {row['seconds']} s",
-        options, where.alias, out, always_bodies, jobs=jobs, max_time=end - time.perf_counter(),
+        options, where.alias, out, jobs=jobs, max_time=end - time.perf_counter(),
         key_of=lambda row: (row["case"], row["looks"], row["speckle"], row["seed"]),
     )  # fmt: skip
 
@@ -300,8 +274,9 @@ def judged(row: Mapping[str, Any]) -> str:
 WORDS = ("alternative", "unexplained too", "more", "not testable", "missed", "unexplained", "wrong")
 
 
-def rates(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Markdown: a line per case, both kinds of speckle together."""
+@runs.table(main)
+def table(rows: list[runs.Row]) -> dict[str, str]:
+    """A line per case, both kinds of speckle together."""
     lines = []
     for name in CASES:
         mine = [row for row in rows if row["case"] == name]
@@ -314,29 +289,7 @@ def rates(rows: Sequence[Mapping[str, Any]]) -> str:
         right = [f"{sum(found)} of {len(found)}" for found in by_looks]
         lines.append([name, len(mine), *right, *(counts[word] or "" for word in WORDS), said])
     header = ["in the images", "runs", "right at 1", "4", "16 looks", *WORDS, "named instead or besides"]
-    return tables.markdown(header, lines)
-
-
-def summary(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """How many runs came out how, of each case, looks and kind of speckle."""
-    found = []
-    for name, looks, kind in product(CASES, LOOKS, ("white", "correlated")):
-        members = [row for row in rows if (row["case"], row["looks"], row["speckle"]) == (name, looks, kind)]
-        if members:
-            counts = Counter(judged(row) for row in members)
-            came_out = {word: counts[word] for word in ("right", *WORDS)}
-            found.append({"case": name, "looks": looks, "speckle": kind, "runs": len(members), **came_out})
-    return found
-
-
-@main.command()
-@runs.out
-@runs.write
-def table(out: Path, write: bool) -> None:
-    """Markdown of what the folder holds, and rates.json: every kind of speckle by itself."""
-    rows = runs.stored(out)
-    (out / "rates.json").write_text(json.dumps(summary(rows), indent=1) + "\n")
-    tables.publish({"diagnosis_rates": rates(rows)}, runs.oldest(rows), write)
+    return {"diagnosis_rates": tables.markdown(header, lines)}
 
 
 if __name__ == "__main__":

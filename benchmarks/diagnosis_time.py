@@ -20,9 +20,6 @@ from pathlib import Path
 from typing import Any
 
 import click
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
 import runs
 import tables
 

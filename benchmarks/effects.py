@@ -15,16 +15,9 @@ wall time on CUDA.
 
 from __future__ import annotations
 
-import argparse
-import sys
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
-
-from warpsar.runtime import devices
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import numpy as np
 import tables
@@ -35,6 +28,7 @@ from simulate import machine, said
 
 from warpsar.effects.registry import declared, names
 from warpsar.kernels.geometry import RayGrid, azimuth_of, elevation_of, intersect, jitter_of, ray_direction, ray_origin
+from warpsar.runtime import devices
 
 WIDTHS = {"range_fwhm_m": 1.0, "azimuth_fwhm_m": 1.0}
 
@@ -261,18 +255,15 @@ def table(result: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = tables.parser(__doc__)
     parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
     parser.add_argument("--rays-per-pixel", type=float, default=32.0)
     parser.add_argument("--repeats", type=int, default=5, help="runs of which the median counts")
-    tables.add_options(parser)
     options = parser.parse_args()
-    if options.source:
-        result = tables.stored(options.source)
-    else:
-        result = {"benchmark": "effects", **machine(options.device)}
-        result |= measure(options.device, options.rays_per_pixel, options.repeats)
-        tables.save(options.out, result)
+    result = tables.result_of(
+        options,
+        lambda: machine(options.device) | measure(options.device, options.rays_per_pixel, options.repeats),
+    )
     tables.publish({f"effects.{result['device'].split(':')[0]}": table(result)}, result, options.write)
 
 

@@ -18,7 +18,6 @@ OUT/NAME.npz has both means by pixel, OUT/NAME.json the numbers, OUT/NAME.png th
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 import time
@@ -32,13 +31,10 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
-import trimesh
-from numpy.typing import NDArray
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
 import tables
+import trimesh
 from gallery_shapes import Parts, all_of, turn
+from numpy.typing import NDArray
 
 import warpsar
 from warpsar.effects.registry import validate
@@ -362,14 +358,13 @@ def run(name: str, out: Path, looks: int, draws: int, jobs: int) -> dict[str, An
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = tables.parser(__doc__, stored=False)
     parser.add_argument("--out", type=Path, required=True, help="folder")
     parser.add_argument("--scene", choices=SCENES, action="append", help="one scene; all without it")
     parser.add_argument("--looks", type=int, default=LOOKS)
     parser.add_argument("--draws", type=int, default=DRAWS)
     parser.add_argument("--jobs", type=int, default=1, help="looks side by side")
     parser.add_argument("--picture", type=Path, help="a picture of all of them")
-    tables.add_write(parser)
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     rows = []

@@ -1,5 +1,5 @@
 """The paper's experiments again, on scenes whose truth is known: tables III, IV and VI, surfaces inside the models'
-domains, parameter fields, and a case of an independent renderer. docs/experiments.md has the results.
+domains, and parameter fields. docs/experiments.md has the results.
 
     python benchmarks/experiments.py table3 -o out/experiments
 
@@ -7,7 +7,6 @@ Each command prints its tables and leaves NAME.json, the references and their sc
 the tables into the page; `--from out/experiments/NAME.json` takes them from an earlier run.
 """
 
-import json
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -15,15 +14,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import click
-import numpy as np
-
-sys.path.insert(0, str(Path(__file__).parent))  # so that `import experiments` from a test finds its neighbours
 import field_experiment
+import numpy as np
 import tables
 from references import DATA, KEYS, NO_SPECKLE_LOOKS, changed, clean_images, logs, measured, with_rays
 
-from warpsar.io.images import replacing
 from warpsar.learning.command import Learned, LearnOptions, learn
 from warpsar.learning.metrics import pooled_metrics
 from warpsar.scene.scene import Scene
@@ -52,7 +47,7 @@ RUNS = (
 
 
 def say(name: str) -> None:
-    click.echo(f"{name} ...", err=True)
+    print(f"{name} ...", file=sys.stderr)
 
 
 def values_of(found: Learned, material: str) -> list[float]:
@@ -277,163 +272,55 @@ def sampling_table(rows: Sequence[dict[str, Any]]) -> str:
     return tables.markdown(header, body)
 
 
-def case_result(folder: Path, out: Path, device: str | None) -> dict[str, Any]:
-    """`warpsar learn` on a case with truth.json beside it: is the truth in the intervals of what is identifiable?"""
-    from warpsar.learning.command import run
+# ---- the program ----
 
-    content = run(folder / "scene.toml", out / folder.name, device=device)
-    truth = json.loads((folder / "truth.json").read_text())["materials"]
-    rows = []
-    for name, values in truth.items():
-        for key, true in zip(KEYS, values, strict=False):
-            entry = content["materials"][name][key]
-            low, high = entry["interval_95"]
-            rows.append(
-                {
-                    "parameter": f"{name}.{key}",
-                    "truth": true,
-                    "learned": entry["value"],
-                    "interval_95": [low, high],
-                    "identifiable": bool(entry["sd_log"] < 0.5),
-                    "inside": bool(low <= true <= high),
-                }
-            )
-    return {
-        "train": content["train"],
-        "test": content["test"],
-        "words": content["identifiability"]["words"],
-        "parameters": rows,
-    }
+Made = tuple[Callable[[], dict[str, Any]], Callable[[dict[str, Any]], dict[str, str]]]
+"""What makes the JSON of an experiment, and what makes its tables of that."""
 
 
-def case_table(result: dict[str, Any]) -> str:
-    rows = [
-        [
-            row["parameter"],
-            f"{row['truth']:.4g}",
-            f"{row['learned']:.4g}",
-            f"{row['interval_95'][0]:.4g} to {row['interval_95'][1]:.4g}",
-            "yes" if row["inside"] else "no",
-            "yes" if row["identifiable"] else "no",
-        ]
-        for row in result["parameters"]
-    ]
-    header = ("parameter", "truth", "learned", "95 % interval", "holds truth", "identifiable alone")
-    deviance = f"Deviance: train {result['train']['deviance']:.4f}, test {result['test']['deviance']:.4f}."
-    said = "\n".join(f"- {sentence}" for sentence in result["words"])
-    return f"{tables.markdown(header, rows)}\n\n{deviance}\n\n{said}"
-
-
-# ---- commands ----
-
-
-@dataclass(frozen=True)
-class Output:
-    """Where a command leaves its results, and whether it makes them or takes them from a JSON file."""
-
-    folder: Path
-    device: str | None
-    source: Path | None
-    write: bool
-
-    def result(self, name: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-        """What NAME.json holds: what was made, and the date and the commit it was made at."""
-        if self.source is not None:
-            return tables.stored(self.source)
-        content = {"made": tables.made(), **make()}
-        with replacing(self.folder / f"{name}.json") as temporary:
-            tables.save(temporary, content)
-        return content
-
-    def publish(self, content: dict[str, Any], bodies: dict[str, str]) -> None:
-        tables.publish(bodies, content, self.write)
-
-
-@click.group()
-def main() -> None:
-    """Experiments of the paper, and checks beyond it; see docs/experiments.md."""
-
-
-def with_output(command: Callable[..., None]) -> Callable[..., None]:
-    """The options that every experiment has, handed to it as one `Output`."""
-
-    def handed(out: Path, device: str | None, source: Path | None, write: bool, **others: Any) -> None:
-        command(Output(out, device, source, write), **others)
-
-    file = click.Path(path_type=Path, dir_okay=False, exists=True)
-    folder = click.Path(path_type=Path, file_okay=False)
-    handed.__doc__ = command.__doc__
-    for option in (
-        click.option("--write", is_flag=True, help="Put the tables into their page in docs/."),
-        click.option("--from", "source", type=file, help="JSON of a run: nothing is measured."),
-        click.option("--device", default=None, help="cpu, cuda or cuda:N."),
-        click.option("-o", "--out", type=folder, default=Path("out/experiments"), show_default=True),
-    ):
-        handed = option(handed)
-    return handed
-
-
-@main.command("table3")
-@with_output
-def table3_command(output: Output) -> None:
-    """Cube on a plane, 9.6 GHz."""
-    make = partial(recover, "table3", "cube", (25.0, 0.005, 0.010), output.folder, output.device)
-    content = output.result("table3", make)
-    paper = ("not known to us", "2.09", "1.04", "2.174", "2.01")
-    output.publish(content, recovered_tables("table3", content, paper))
-
-
-@main.command("table4")
-@with_output
-def table4_command(output: Output) -> None:
-    """Simplified building, 9.6 GHz, from eps_r 1.5 for the dead point 1."""
-    make = partial(recover, "table4", "building", (1.5, 1e-4, 1e-4), output.folder, output.device)
-    content = output.result("table4", make)
-    output.publish(content, recovered_tables("table4", content, ("7.42", "19", "9", "171", "2.111")))
-
-
-@main.command("in_domain")
-@click.option("--seeds", type=click.IntRange(min=2), default=60, show_default=True)
-@with_output
-def in_domain_command(output: Output, seeds: int) -> None:
-    """Surfaces inside the domains of the models, HH+VV, 16 looks."""
-    begun = {"spm": (4.0, 0.001, 0.006), "ka": (4.0, 0.030, 0.200)}
-
-    def make() -> dict[str, Any]:
-        folder, device = output.folder, output.device
-        return {"models": [in_domain_case(m, start, folder, device, seeds=seeds) for m, start in begun.items()]}
-
-    content = output.result("in_domain", make)
-    output.publish(content, {"experiments.in_domain": in_domain_table(content["models"])})
-
-
-@main.command("table6")
-@click.option("--seeds", type=click.IntRange(min=2), default=5, show_default=True)
-@with_output
-def table6_command(output: Output, seeds: int) -> None:
-    """Error after convergence against rays per pixel."""
-    content = output.result("table6", lambda: {"fits": sampling_error(output.folder, output.device, seeds=seeds)})
-    output.publish(content, {"experiments.table6": sampling_table(content["fits"])})
-
-
-@main.command("case")
-@click.argument("folder", type=click.Path(path_type=Path, file_okay=False, exists=True))
-@with_output
-def case_command(output: Output, folder: Path) -> None:
-    """A case of an independent renderer, with its truth.json."""
-    content = output.result(f"case_{folder.name}", lambda: case_result(folder, output.folder, output.device))
-    output.publish(content, {f"experiments.case.{folder.name}": case_table(content)})
-
-
-@main.command("fields")
-@click.option("--iterations", type=click.IntRange(min=2), default=300, show_default=True, help="Of Adam, per fit.")
-@click.option("--full", is_flag=True, help="Four times the rays and five times the iterations: for a GPU.")
-@with_output
-def fields_command(output: Output, iterations: int, full: bool) -> None:
-    """Parameter fields of a painted building, 15.2 GHz, from one to six views."""
+def experiment(name: str, out: Path, device: str | None, seeds: int | None, iterations: int, full: bool) -> Made:
+    if name in ("table3", "table4"):
+        cube = name == "table3"
+        start = (25.0, 0.005, 0.010) if cube else (1.5, 1e-4, 1e-4)  # 1.5: the paper starts at eps_r 1, a dead point
+        paper = ("not known to us", "2.09", "1.04", "2.174", "2.01") if cube else ("7.42", "19", "9", "171", "2.111")
+        make = partial(recover, name, "cube" if cube else "building", start, out, device)
+        return make, partial(recovered_tables, name, paper=paper)
+    if name == "in_domain":
+        begun = {"spm": (4.0, 0.001, 0.006), "ka": (4.0, 0.030, 0.200)}
+        return (
+            lambda: {
+                "models": [in_domain_case(m, start, out, device, seeds=seeds or 60) for m, start in begun.items()]
+            },
+            lambda content: {"experiments.in_domain": in_domain_table(content["models"])},
+        )
+    if name == "table6":
+        return (
+            lambda: {"fits": sampling_error(out, device, seeds=seeds or 5)},
+            lambda content: {"experiments.table6": sampling_table(content["fits"])},
+        )
     more = {"iterations": iterations * (5 if full else 1), "rays": 4.0 if full else 1.0}
-    content = output.result("fields", lambda: field_experiment.run(output.folder, output.device, **more))
-    output.publish(content, {"experiments.fields": field_experiment.table(content)})
+    return (
+        partial(field_experiment.run, out, device, **more),
+        lambda content: {"experiments.fields": field_experiment.table(content)},
+    )
+
+
+def main() -> None:
+    parser = tables.parser(__doc__, stored=False)
+    parser.add_argument("name", choices=("table3", "table4", "in_domain", "table6", "fields"))
+    parser.add_argument("-o", dest="folder", type=Path, default=Path("out/experiments"), help="folder")
+    parser.add_argument("--from", dest="source", type=Path, metavar="FILE", help="JSON of a run: nothing is measured")
+    parser.add_argument("--device")
+    parser.add_argument("--seeds", type=int, help="draws of in_domain (60) and table6 (5)")
+    parser.add_argument("--iterations", type=int, default=300, help="of Adam, per fit of fields")
+    parser.add_argument("--full", action="store_true", help="fields with 4 times the rays and 5 times the iterations")
+    options = parser.parse_args()
+    name, folder = options.name, options.folder
+    make, bodies = experiment(name, folder, options.device, options.seeds, options.iterations, options.full)
+    folder.mkdir(parents=True, exist_ok=True)
+    options.out = folder / f"{name}.json"
+    result = tables.result_of(options, make)
+    tables.publish(bodies(result), result, options.write)
 
 
 if __name__ == "__main__":

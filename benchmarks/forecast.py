@@ -9,7 +9,6 @@ work meanwhile, the CPU seconds are less than the wall time times the threads.
 
 from __future__ import annotations
 
-import argparse
 import os
 import re
 import subprocess
@@ -19,8 +18,6 @@ import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import numpy as np
 import tables
@@ -143,14 +140,13 @@ def table(result: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = tables.parser(__doc__)
     parser.add_argument("--device", default="cpu", help="cpu, cuda, cuda:N")
-    tables.add_options(parser)
     options = parser.parse_args()
     if options.source:
         result = tables.stored(options.source)
     else:
-        result = {"benchmark": "forecast", **machine(options.device), "cases": []}
+        result = {**machine(options.device), "cases": []}
         for name, scene, words in cases():
             print(name, file=sys.stderr)
             result["cases"].append(measure(name, scene, words, options.device))

@@ -18,20 +18,16 @@ import json
 import resource
 import subprocess
 import sys
-from dataclasses import replace
 from functools import partial
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
-
-from warpsar.runtime import devices
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import numpy as np
 import tables
 from peer import gradient_task, smooth_scene, timed
+from scenes import around, measuring
 from simulate import machine, said
+
+from warpsar.runtime import devices
 
 Size = dict[str, Any]
 PAPER_PIXELS = (423, 380)  # of 0.41 x 0.47 m
@@ -59,20 +55,6 @@ def sizes_of(sweep: str, base: Size) -> list[Size]:
     return [{**base, sweep: type(base[sweep])(base[sweep] * factor)} for factor in (0.25, 0.5, 1.0, 2.0, 4.0)]
 
 
-def speckled(scene: Any, renders: list[Any], folder: Path) -> list[Any]:
-    """The views with images of 16 looks made from their renders."""
-    from warpsar.io.images import write_exr
-
-    rng = np.random.default_rng(0)
-    views = []
-    for view, render in zip(scene.views, renders, strict=True):
-        image = render.forward()["HH"]
-        path = folder / f"{view.name}.exr"
-        write_exr(path, {"HH": (image * rng.gamma(16.0, 1 / 16.0, image.shape)).astype(np.float32)})
-        views.append(view.model_copy(update={"images": {"HH": path}, "looks": 16.0}))
-    return views
-
-
 def measure(size: Size, device_name: str, repeats: int) -> dict[str, Any]:
     """Tracing, fresh images of all views, and one learning iteration over them, in this process."""
     import warp as wp
@@ -90,12 +72,7 @@ def measure(size: Size, device_name: str, repeats: int) -> dict[str, Any]:
             return wp.get_mempool_used_mem_high(device) / 2**30
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
 
-    scene = smooth_scene(size["faces"], tuple(size["pixels"]), size["rays_per_pixel"])
-    turned = [
-        scene.views[0].model_copy(update={"name": f"v{i}", "azimuth_deg": 270.0 + 360.0 * i / size["views"]})
-        for i in range(size["views"])
-    ]
-    scene = replace(scene, views=turned)
+    scene = around(smooth_scene(size["faces"], tuple(size["pixels"]), size["rays_per_pixel"]), size["views"])
     stage = Stage.of(scene, device)
 
     def traced(view: Any) -> Any:
@@ -115,9 +92,8 @@ def measure(size: Size, device_name: str, repeats: int) -> dict[str, Any]:
 
     times = {"trace": timed(trace, synchronize, repeats), "fresh_image": timed(fresh, synchronize, repeats)}
     peak_image = peak_gib()
-    with TemporaryDirectory() as folder:
-        fitted = replace(scene, views=speckled(scene, fresh(), Path(folder)))
-        problem = FitProblem(fitted, device, rays=Rays(stage, seed=0))
+    fitted = measuring(scene, [render.forward()["HH"] for render in fresh()])
+    problem = FitProblem(fitted, device, rays=Rays(stage, seed=0))
     problem.gradient(problem.x0)
     turns = 5 * repeats if device.is_cuda else repeats
     times["iteration"] = timed(gradient_task(problem, device), synchronize, turns)
@@ -196,7 +172,7 @@ def bodies(result: dict[str, Any]) -> dict[str, str]:
 
 def run(options: argparse.Namespace) -> dict[str, Any]:
     """Every size in a process of its own."""
-    result: dict[str, Any] = {"benchmark": "growth", **machine(options.device), "sweeps": {}}
+    result: dict[str, Any] = {**machine(options.device), "sweeps": {}}
     for sweep in options.sweep or SWEEPS:
         rows: list[dict[str, Any]] = []
         for size in sizes_of(sweep, BASE[options.device]):
@@ -210,12 +186,11 @@ def run(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = tables.parser(__doc__)
     parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
     parser.add_argument("--sweep", choices=SWEEPS, action="append", help="may be repeated; default all")
     parser.add_argument("--repeats", type=int, default=3, help="runs of which the median counts")
     parser.add_argument("--one", help=argparse.SUPPRESS)  # a size, as JSON: measured in this process
-    tables.add_options(parser)
     options = parser.parse_args()
     if options.one:
         print(json.dumps(measure(json.loads(options.one), options.device, options.repeats)))

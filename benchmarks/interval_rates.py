@@ -9,8 +9,6 @@ the intervals alone are judged, and a scene takes seconds. A run appends one lin
 runs that are there already are not made again. docs/diagnosis-rates.md has the results.
 """
 
-import sys
-import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -18,9 +16,6 @@ from typing import Any
 
 import click
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
 import runs
 import tables
 from runs import bounds
@@ -42,16 +37,16 @@ NOT_HERE = {"texture", "view_gain", "azimuth_ambiguity"}
 other rays miss, for which the search has a rule of its own."""
 
 
-def measured(number: int, device: str, folder: Path) -> tuple[Scene, Scene, list[str], bool] | None:
+def measured(number: int, device: str) -> tuple[Scene, Scene, list[str], bool] | None:
     """The scene with images of a seed as search_rates.py makes them, started beside the truth, and the truth."""
     random = np.random.default_rng([20261124, number])
     kinds = kinds_of(number, random)
     if group_of(number) == "outside" or NOT_HERE.intersection(kinds):
         return None
-    found, clean, _, correlated = visible(number, kinds, random, device, folder)
+    found, clean, _, correlated = visible(number, kinds, random, device)
     views = [
         view.model_copy(update={"looks": found.law[view.name].looks})
-        for view in with_images(random, replace(found, declared=found.true), clean, correlated, folder)
+        for view in with_images(random, replace(found, declared=found.true), clean, correlated)
     ]
     sampling = Sampling(seed=number, rays_per_pixel=RAYS_PER_PIXEL)
     scene = replace(found.true, views=views, sampling=sampling)
@@ -59,42 +54,39 @@ def measured(number: int, device: str, folder: Path) -> tuple[Scene, Scene, list
 
 
 def one_run(number: int, device: str) -> dict[str, Any]:
-    with tempfile.TemporaryDirectory() as name:
-        made = measured(number, device, Path(name))
-        if made is None:
-            return {"number": number, "kinds": None}
-        scene, true, kinds, correlated = made
-        problem = FitProblem(scene, devices.resolve_device(device))
-        state = FitState(problem.x0, np.inf, problem.x0, np.inf)
-        for _ in range(STEPS):
-            state = levenberg_marquardt(problem, state)
-            if state.arrived:
-                break
-        x = np.asarray(state.best_x)
-        found = identify(problem, x)
-        begun = time.process_time()
-        told = with_profiles(problem, x, found)
-        seconds = time.process_time() - begun
-        known, truth = scene.parameters, true.parameters
-        rows = []
-        for k, label in enumerate(problem.labels):
-            full = known.old_names.get(label, label)
-            value = float(known[full].transform.to_coordinate(truth[full].value))
-            ends = told.interval_95(k, float(x[k])) - value
-            sides = [None if not np.isfinite(end) else float(end) for end in ends]
-            at_bound = [
-                bool(np.isclose(end, bound[k] - value)) for end, bound in zip(ends, problem.bounds, strict=True)
-            ]
-            rows.append([full, *sides, *at_bound, float(x[k]) - value, float(found.sd[k])])
-        return {
-            "number": number,
-            "kinds": kinds,
-            "looks": scene.views[0].looks,
-            "views": len(scene.views),
-            "correlated": correlated,
-            "intervals": rows,
-            "cpu_seconds": round(seconds, 2),
-        }
+    made = measured(number, device)
+    if made is None:
+        return {"number": number, "kinds": None}
+    scene, true, kinds, correlated = made
+    problem = FitProblem(scene, devices.resolve_device(device))
+    state = FitState(problem.x0, np.inf, problem.x0, np.inf)
+    for _ in range(STEPS):
+        state = levenberg_marquardt(problem, state)
+        if state.arrived:
+            break
+    x = np.asarray(state.best_x)
+    found = identify(problem, x)
+    begun = time.process_time()
+    told = with_profiles(problem, x, found)
+    seconds = time.process_time() - begun
+    known, truth = scene.parameters, true.parameters
+    rows = []
+    for k, label in enumerate(problem.labels):
+        full = known.old_names.get(label, label)
+        value = float(known[full].transform.to_coordinate(truth[full].value))
+        ends = told.interval_95(k, float(x[k])) - value
+        sides = [None if not np.isfinite(end) else float(end) for end in ends]
+        at_bound = [bool(np.isclose(end, bound[k] - value)) for end, bound in zip(ends, problem.bounds, strict=True)]
+        rows.append([full, *sides, *at_bound, float(x[k]) - value, float(found.sd[k])])
+    return {
+        "number": number,
+        "kinds": kinds,
+        "looks": scene.views[0].looks,
+        "views": len(scene.views),
+        "correlated": correlated,
+        "intervals": rows,
+        "cpu_seconds": round(seconds, 2),
+    }
 
 
 @click.group()
@@ -119,12 +111,10 @@ def run(out: Path, first: int, scenes: int, jobs: int, max_time: float, device: 
     )  # fmt: skip
 
 
-@main.command()
-@runs.out
-@runs.write
-def table(out: Path, write: bool) -> None:
+@runs.table(main)
+def table(rows: list[runs.Row]) -> dict[str, str]:
     """The rates of the runs that are there."""
-    rows = [row for row in runs.stored(out) if row["kinds"] is not None]
+    rows = [row for row in rows if row["kinds"] is not None]
     by_key: dict[str, list[list[Any]]] = {}
     for row in rows:
         for name, *of in row["intervals"]:
@@ -147,11 +137,11 @@ def table(out: Path, write: bool) -> None:
             ]
         )
     head = ["", "intervals", "hold the truth", "95 %", "of these, one end is a bound", "not told"]
-    tables.publish({"interval_rates": tables.markdown(head, lines)}, runs.oldest(rows), write)
     seconds = [row["cpu_seconds"] for row in rows]
     click.echo(
         f"{len(rows)} scenes; CPU seconds of the intervals: median {np.median(seconds):.2f}, most {max(seconds):.1f}"
     )
+    return {"interval_rates": tables.markdown(head, lines)}
 
 
 if __name__ == "__main__":

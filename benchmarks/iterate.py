@@ -10,50 +10,27 @@ same device. On the CPU it is the host-side loop.
 
 from __future__ import annotations
 
-import argparse
-import sys
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from statistics import median
-from tempfile import TemporaryDirectory
 from typing import Any
 
-import numpy as np
-
-from warpsar.runtime import devices
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
 import tables
-from scenes import town_scene
+from scenes import around, measuring, town_scene
 from simulate import machine, said
 
-from warpsar.io.images import write_exr
 from warpsar.learning.adam import Adam, GraphAdam
 from warpsar.learning.optimise import begin
 from warpsar.learning.problem import FitProblem
+from warpsar.runtime import devices
 from warpsar.simulation.command import simulate
 
 
-def measured_town(device: Any, faces: int, pixels: tuple[int, int], rays: float, views: int, folder: Path) -> Any:
+def measured_town(device: Any, faces: int, pixels: tuple[int, int], rays: float, views: int) -> Any:
     """The town with parameters at its vertices and `views` images of 16 looks of itself."""
-    scene = town_scene(faces, pixels, rays, layout="vertex")
-    around = [
-        scene.views[0].model_copy(update={"name": f"view{k}", "azimuth_deg": 270.0 + 360.0 * k / views})
-        for k in range(views)
-    ]
-    scene = replace(scene, views=around)
-    measured = []
-    for view, found in zip(around, simulate(scene, device=device.alias, seed=1), strict=True):
-        beta0 = found.beta0["HH"]
-        speckled = beta0 * np.random.default_rng(0).gamma(16.0, 1 / 16.0, beta0.shape)
-        path = folder / f"{view.name}.exr"
-        write_exr(path, {"HH": speckled.astype(np.float32)})
-        measured.append(view.model_copy(update={"images": {"HH": path}, "looks": 16.0}))
-    return replace(scene, views=measured)
+    scene = around(town_scene(faces, pixels, rays, layout="vertex"), views)
+    return measuring(scene, [found.beta0["HH"] for found in simulate(scene, device=device.alias, seed=1)])
 
 
 def timed(device: Any, task: Callable[[], Any], turns: int = 1) -> float:
@@ -104,10 +81,8 @@ def on_cpu(problem: FitProblem, state: Any, device: Any, repeats: int) -> dict[s
     return {name: median(timed(device, task) for _ in range(repeats)) for name, task in tasks.items()}
 
 
-def measure(
-    device: Any, faces: int, pixels: tuple[int, int], rays: float, views: int, repeats: int, folder: Path
-) -> dict[str, Any]:
-    scene = measured_town(device, faces, pixels, rays, views, folder)
+def measure(device: Any, faces: int, pixels: tuple[int, int], rays: float, views: int, repeats: int) -> dict[str, Any]:
+    scene = measured_town(device, faces, pixels, rays, views)
     problems: list[FitProblem] = []
     prepare_s = timed(device, lambda: problems.append(FitProblem(scene, device)))
     problem = problems[0]
@@ -162,26 +137,21 @@ def table(result: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = tables.parser(__doc__)
     parser.add_argument("--device", help="cpu, cuda, cuda:N; default as the program's")
     parser.add_argument("--faces", type=int, default=100_000)
     parser.add_argument("--pixels", type=int, nargs=2, default=(256, 256), metavar=("ROWS", "COLS"))
     parser.add_argument("--rays-per-pixel", type=float, nargs="+", default=[16.0])
     parser.add_argument("--views", type=int, default=1, help="views around the town")
     parser.add_argument("--repeats", type=int, default=10)
-    tables.add_options(parser)
     options = parser.parse_args()
-    if options.source:
-        result = tables.stored(options.source)
-    else:
-        result = {"benchmark": "iterate", **machine(options.device)}
+
+    def sizes() -> list[dict[str, Any]]:
         device, pixels = devices.resolve_device(options.device), tuple(options.pixels)
-        with TemporaryDirectory() as folder:
-            result["sizes"] = [
-                measure(device, options.faces, pixels, rays, options.views, options.repeats, Path(folder))
-                for rays in options.rays_per_pixel
-            ]
-        tables.save(options.out, result)
+        given = options.views, options.repeats
+        return [measure(device, options.faces, pixels, rays, *given) for rays in options.rays_per_pixel]
+
+    result = tables.result_of(options, lambda: {**machine(options.device), "sizes": sizes()})
     name = f"iterate.{result['device'].split(':')[0]}.views{result['sizes'][0]['views']}"
     tables.publish({name: table(result)}, result, options.write)
 

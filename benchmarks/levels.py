@@ -3,13 +3,10 @@
     python benchmarks/levels.py [--write]
 
 Levels are computed by the surfaces' own models. Published means are those of `warpsar.world.library.clutter`, and Oh's
-model of measured bare soils at the permittivity and roughness of asphalt. Dry snow is also compared with dry soil
-below it, which the library's surface leaves out.
+model of measured bare soils at the permittivity and roughness of asphalt.
 """
 
 from __future__ import annotations
-
-import argparse
 
 import numpy as np
 import tables
@@ -77,52 +74,15 @@ def beside() -> str:
     return tables.markdown(head, rows)
 
 
-def under_snow(soil: str, frequency_hz: float) -> Channels:
-    """sigma0 [dB] of a soil below dry snow, without the snow's own: a wave enters, is bent, and comes back.
-
-    The snow loses nothing. The flux that reaches the soil is T cos(incidence) / cos(that in the snow) times the one
-    above, T the power that passes the snow's surface. On the way back T comes once more, and a solid angle grows by
-    eps cos(that in the snow) / cos(incidence).
-    """
-    snow, below = material("snow_dry", frequency_hz), material(soil, frequency_hz)
-    eps = complex(*np.atleast_1d(snow.eps_r)).real
-    angles = np.radians(DEG)
-    cosine, inside = np.cos(angles), np.sqrt(1.0 - np.sin(angles) ** 2 / eps)
-    seen = complex(*np.atleast_1d(below.eps_r)) / eps
-    soil_in_snow = below.model_copy(update={"eps_r": (seen.real, seen.imag)})
-    found, n = {}, np.sqrt(eps)
-    for channel in ("HH", "VV", "HV"):
-        h, v = cosine / inside / n, n * cosine / inside
-        passed = [1.0 - ((ratio - 1.0) / (ratio + 1.0)) ** 2 for ratio in (h if c == "H" else v for c in channel)]
-        own = sigma0_db(soil_in_snow, channel, frequency_hz * n, np.degrees(np.arccos(inside)))
-        found[channel] = own + 10.0 * np.log10(passed[0] * passed[1] * (cosine / inside) ** 2 / eps)
-    return found
-
-
-def snow() -> str:
-    """Dry snow less the handbook's mean: the library's surface, and with dry soil below it."""
-    rows = []
-    for band in clutter.HANDBOOK_GHZ:
-        means, own = published("snow_dry", band)["handbook"], levels("snow_dry", DEG)[band]
-        below = under_snow("soil_dry", BANDS_HZ[band])
-        for channel in ("HH", "VV", "HV"):
-            both = 10.0 * np.log10(10.0 ** (own[channel] / 10.0) + 10.0 ** (below[channel] / 10.0))
-            off = [one[channel] - means[channel] for one in (own, below)] + [both - means[channel]]
-            rows.append([band, channel, *(f"{one.min():+.1f} to {one.max():+.1f}" for one in off)])
-    header = ["band", "channel", "surface alone [dB]", "the ground below alone [dB]", "both [dB]"]
-    return tables.markdown(header, rows)
-
-
 def choices() -> str:
     rows = [[f"`{name}`", one.choice, one.published or "none that we could read"] for name, one in SURFACES.items()]
     return tables.markdown(["surface", "our choice", "published levels beside it"], rows)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    tables.add_write(parser)
+    parser = tables.parser(__doc__, stored=False)
     given = parser.parse_args()
-    made = {"levels": by_band(), "published": beside(), "choices": choices(), "snow": snow()}
+    made = {"levels": by_band(), "published": beside(), "choices": choices()}
     tables.publish({f"materials.{name}": text for name, text in made.items()}, {"made": tables.made()}, given.write)
 
 

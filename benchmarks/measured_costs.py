@@ -24,9 +24,6 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import click
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
 import runs
 import tables
 from simulate import machine, said
@@ -135,12 +132,9 @@ def run(data: str, out: Path, only: tuple[str, ...], device: str) -> None:
     runs.append(out, keys, one_run, words_of, data, key_of=lambda row: (row["study"], row["asked_device"]))
 
 
-@main.command()
-@runs.out
-@runs.write
-def table(out: Path, write: bool) -> None:
+@runs.table(main)
+def table(rows: list[runs.Row]) -> dict[str, str]:
     """The costs of the runs that are there."""
-    rows = runs.stored(out)
     head = ["study", "command", "machine", "wall, s", "CPU, s", "memory, GiB"]
     lines = [
         [
@@ -153,7 +147,7 @@ def table(out: Path, write: bool) -> None:
         for row in sorted(rows, key=lambda row: (row["study"], row["asked_device"]))
         for one in row["commands"]
     ]
-    tables.publish({"measured_costs": tables.markdown(head, lines)}, runs.oldest(rows), write)
+    return {"measured_costs": tables.markdown(head, lines)}
 
 
 if __name__ == "__main__":

@@ -21,12 +21,9 @@ from pathlib import Path
 from typing import Any
 
 import click
-import tomlkit
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
 import runs
 import tables
+import tomlkit
 
 FINE = (0, 4)  # of `diagnose`: done, and something is left unexplained
 OPPOSITE = {"+": "-", "-": "+"}
@@ -150,12 +147,9 @@ def run(folder: str, out: Path, only: tuple[str, ...], minutes: float, jobs: int
     )
 
 
-@main.command()
-@runs.out
-@runs.write
-def table(out: Path, write: bool) -> None:
+@runs.table(main)
+def table(rows: list[runs.Row]) -> dict[str, str]:
     """What was said in the runs that are there."""
-    rows = runs.stored(out)
     lines = []
     for row in rows:
         leads = [row["lead"], row["lead_of_box"]]
@@ -165,7 +159,7 @@ def table(out: Path, write: bool) -> None:
         said += f"; not asked: {', '.join(row['not_asked'])}" if row["not_asked"] else ""
         lines.append([TRIALS[row["trial"]][0], said, deviance, *ahead, found(row), f"{row['wall_s']:.0f}"])
     head = ["hidden", "ahead of all rivals", "deviance", "over the best picture", "over a box", "found", "wall, s"]
-    tables.publish({"measured_hidden": tables.markdown(head, lines)}, runs.oldest(rows), write)
+    return {"measured_hidden": tables.markdown(head, lines)}
 
 
 if __name__ == "__main__":

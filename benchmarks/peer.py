@@ -24,19 +24,15 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from statistics import median
-from tempfile import TemporaryDirectory
 from typing import Any
-
-from warpsar.runtime import devices
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import numpy as np
 import tables
-from scenes import MATERIAL, town_scene
+from scenes import MATERIAL, measuring, town_scene
 from simulate import machine, said
+
+from warpsar.runtime import devices
 
 Row = dict[str, float]
 KEYS = ("rms_height_m", "correlation_length_m", "eps_r")
@@ -67,7 +63,7 @@ def smooth_scene(faces: int, pixels: tuple[int, int], rays: float) -> Any:
     return replace(scene, radar=scene.radar.model_copy(update={"polarization_basis": "local"}))
 
 
-def ours(scene: Any, device: Any, repeats: int, folder: Path) -> tuple[dict[str, Row], dict[str, Any]]:
+def ours(scene: Any, device: Any, repeats: int) -> tuple[dict[str, Row], dict[str, Any]]:
     """warpsar's timings, and what Mitsuba needs to do the same."""
     import warp as wp
 
@@ -107,7 +103,7 @@ def ours(scene: Any, device: Any, repeats: int, folder: Path) -> tuple[dict[str,
         "image of kept hits": timed(kept["render"].program.forward, synchronize, repeats),
     }
     image = next(iter(render(traced(deposit="nearest")).forward().values()))
-    rows["iteration"], fitted = iteration(scene, kept["stage"], image, device, repeats, folder)
+    rows["iteration"], fitted = iteration(scene, kept["stage"], image, device, repeats)
     return rows, {"image": image, **fitted, **rays_of(scene, kept["stage"], device, geometry, grid, density, seed)}
 
 
@@ -123,22 +119,16 @@ def gradient_task(problem: Any, device: Any) -> Callable[[], Any]:
     return partial(wp.capture_launch, capture.graph)
 
 
-def iteration(
-    scene: Any, stage: Any, image: np.ndarray, device: Any, repeats: int, folder: Path
-) -> tuple[Row, dict[str, Any]]:
+def iteration(scene: Any, stage: Any, image: np.ndarray, device: Any, repeats: int) -> tuple[Row, dict[str, Any]]:
     """Time of image, loss and gradient; the speckled image that is fitted, its gradient, and the merged hits."""
     import warp as wp
 
-    from warpsar.io.images import write_exr
     from warpsar.learning.problem import FitProblem
     from warpsar.simulation.rays import Rays
 
-    speckled = image * np.random.default_rng(0).gamma(16.0, 1 / 16.0, image.shape)
-    write_exr(folder / "west.exr", {"HH": speckled.astype(np.float32)})
-    measured = scene.views[0].model_copy(update={"images": {"HH": folder / "west.exr"}, "looks": 16.0})
     # nearest bins, as Mitsuba's: gradients can be held against one another
     sampling = scene.sampling.model_copy(update={"deposit": "nearest"})
-    fitted = replace(scene, views=[measured], sampling=sampling)
+    fitted = replace(measuring(scene, [image]), sampling=sampling)
     problem = FitProblem(fitted, device, loss="mse", rays=Rays(stage, seed=scene.sampling.seed))
     _, gradient = problem.gradient(problem.x0)
     synchronize = partial(wp.synchronize_device, device)
@@ -148,7 +138,7 @@ def iteration(
     hits = problem.views[0].render.hits
     names = ("face", "pixel", "barycentric", "weight", "cos_incidence")
     return row, {
-        "measured": speckled.astype(np.float32).ravel(),
+        "measured": fitted.measured(fitted.views[0], "HH").ravel(),
         "seen": seen,
         "gradient": gradient,
         "merged": {name: getattr(hits, name).numpy() for name in names},
@@ -360,8 +350,7 @@ def measure(device_name: str, faces: int, pixels: tuple[int, int], rays: float, 
 
     device = devices.resolve_device(device_name)
     scene = smooth_scene(faces, pixels, rays)
-    with TemporaryDirectory() as folder:
-        own, given = ours(scene, device, repeats, Path(folder))
+    own, given = ours(scene, device, repeats)
     found: dict[str, Any] = {
         "faces": len(scene.mesh.faces),
         "vertices": len(scene.mesh.vertices),
@@ -380,7 +369,7 @@ def measure(device_name: str, faces: int, pixels: tuple[int, int], rays: float, 
 
 def run(options: argparse.Namespace) -> dict[str, Any]:
     """Each number of rays in a process of its own."""
-    result: dict[str, Any] = {"benchmark": "peer", **machine(options.device), "sizes": []}
+    result: dict[str, Any] = {**machine(options.device), "sizes": []}
     for rays in options.rays_per_pixel:
         command = [sys.executable, __file__, "--one", "--device", options.device, "--faces", str(options.faces)]
         command += ["--pixels", *map(str, options.pixels), "--rays-per-pixel", str(rays)]
@@ -392,14 +381,13 @@ def run(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = tables.parser(__doc__)
     parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
     parser.add_argument("--faces", type=int, default=900_482)
     parser.add_argument("--pixels", type=int, nargs=2, default=(423, 380), metavar=("ROWS", "COLS"))
     parser.add_argument("--rays-per-pixel", type=float, nargs="+", default=[4.0])
     parser.add_argument("--repeats", type=int, default=7, help="runs of which the median counts")
     parser.add_argument("--one", action="store_true", help=argparse.SUPPRESS)  # measured in this process
-    tables.add_options(parser)
     options = parser.parse_args()
     if options.source is None and importlib.util.find_spec("mitsuba") is None:
         parser.error("the peer is not installed: pip install mitsuba (and, for --device cpu, LLVM: Debian's libllvm15)")

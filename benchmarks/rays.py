@@ -12,18 +12,15 @@ packets Embree is what benchmarks/peer.py measures as Mitsuba's trace.
 
 from __future__ import annotations
 
-import argparse
 import importlib.util
 import os
 import sys
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from warpsar.runtime import devices
 
 os.environ["WARPSAR_THREADS"] = "1"
-sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import numpy as np
 import tables
@@ -123,7 +120,7 @@ def table(result: dict[str, Any]) -> str:
 
 def measure_all(device_name: str, repeats: int) -> dict[str, Any]:
 
-    result: dict[str, Any] = {"benchmark": "rays", **machine(device_name), "sizes": []}
+    result: dict[str, Any] = {**machine(device_name), "sizes": []}
     device = devices.resolve_device(device_name)
     for slant_range_m in TRACKS:
         for faces, rays in SIZES[device_name]:
@@ -133,16 +130,11 @@ def measure_all(device_name: str, repeats: int) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = tables.parser(__doc__)
     parser.add_argument("--device", choices=sorted(SIZES), default="cpu")
     parser.add_argument("--repeats", type=int, default=3, help="runs of which the median counts")
-    tables.add_options(parser)
     options = parser.parse_args()
-    if options.source:
-        result = tables.stored(options.source)
-    else:
-        result = measure_all(options.device, options.repeats)
-        tables.save(options.out, result)
+    result = tables.result_of(options, lambda: measure_all(options.device, options.repeats))
     tables.publish({f"rays.{result['device'].split(':')[0]}": table(result)}, result, options.write)
 
 

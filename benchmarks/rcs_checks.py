@@ -17,7 +17,6 @@ same method (PO + edges, or with rays).
 
 from __future__ import annotations
 
-import argparse
 import io
 import math
 import os
@@ -227,11 +226,10 @@ def table(rows: list[dict[str, Any]]) -> str:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = tables.parser(__doc__)
     default = Path(os.environ.get("WARPSAR_MEASURED") or ROOT.parent / "shared" / "data") / "austin_rcs"
     parser.add_argument("data", type=Path, nargs="?", default=default, help="the suite's folder")
     parser.add_argument("--only", choices=[name.split()[0] for name in BODIES], help="one body")
-    tables.add_options(parser)
     options = parser.parse_args()
     if options.source:
         result = tables.stored(options.source)

@@ -40,16 +40,6 @@ def spheroid(radius: float, half_length: float, count: int = 400) -> list[tuple[
     return [(rho * radius, z * half_length) for rho, z in sphere(1.0, count)]
 
 
-def ogive(half_length: float, half_angle_deg: float, count: int = 400) -> list[tuple[float, float]]:
-    """Arcs that meet in two tips with the given half-angle."""
-    angle = np.deg2rad(half_angle_deg)
-    bend = half_length / np.sin(angle)
-    z = half_length * np.cos(np.linspace(0.0, np.pi, count + 1))
-    rho = np.sqrt(bend**2 - z**2) - bend * np.cos(angle)
-    rho[[0, -1]] = 0.0
-    return list(zip(rho.tolist(), z.tolist(), strict=True))
-
-
 def cylinder(radius: float, length: float) -> list[tuple[float, float]]:
     return [(0.0, length / 2), (radius, length / 2), (radius, -length / 2), (0.0, -length / 2)]
 

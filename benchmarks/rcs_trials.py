@@ -11,7 +11,6 @@ degrees. Printed as a table: what was named or tied, and for plastic whether eps
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -197,12 +196,11 @@ def cases(out: Path, only: str) -> Iterator[Case]:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = tables.parser(__doc__, stored=False)
     parser.add_argument(
         "-o", "--out", type=Path, required=True, help="folder for curves, rcs_trials.json and the cache"
     )
     parser.add_argument("--only", default="", help="bodies whose name has this word")
-    tables.add_write(parser)
     options = parser.parse_args()
     path = options.out / "rcs_trials.json"
     result: dict[str, Any] = {"made": tables.made(), "rows": []}

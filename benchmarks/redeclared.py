@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import re
 import shutil
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -21,12 +20,9 @@ from pathlib import Path
 
 import click
 import numpy as np
-import trimesh
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
 import runs
 import tables
+import trimesh
 
 from warpsar.diagnosis import command
 from warpsar.diagnosis.found import DiagnoseOptions
@@ -335,13 +331,11 @@ def run(
     )
 
 
-@main.command()
-@runs.out
-@runs.write
-def table(out: Path, write: bool) -> None:
+@runs.table(main)
+def table(rows: list[runs.Row]) -> dict[str, str]:
     """The verdict on each trial."""
-    found = {row["name"]: row for row in runs.stored(out)}
-    rows = [
+    found = {row["name"]: row for row in rows}
+    lines = [
         [
             name,
             ", ".join(trial.wrong) or "nothing",
@@ -355,7 +349,7 @@ def table(out: Path, write: bool) -> None:
         if (row := found.get(name)) is not None
     ]
     head = ["trial", "wrong", "named", "unexplained", "outcome", "test deviance", "time [s]"]
-    tables.publish({"redeclared": tables.markdown(head, rows)}, runs.oldest(found.values()), write)
+    return {"redeclared": tables.markdown(head, lines)}
 
 
 if __name__ == "__main__":

@@ -20,8 +20,6 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
 from tables import DIRTY, ROOT, UNKNOWN, Table, found, git, markdown
 
 DEFAULT = ("warpsar", "kernels")

@@ -8,14 +8,10 @@ same for every model.
 
 from __future__ import annotations
 
-import argparse
-import sys
 import tempfile
 import time
 from pathlib import Path
 from typing import Any
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import numpy as np
 import tables
@@ -96,21 +92,20 @@ def nanoseconds(model: str, kh: float, count: int, device: wp.Device) -> float:
     return min(found) / n * 1e9
 
 
+def measure(device_name: str | None, count: int) -> dict[str, Any]:
+    device = devices.resolve_device(device_name)
+    load_kernels(device)
+    names = ("ka_spm", "i2em", "oh", "dubois", "facet", "ka_spm with a term", "i2em with a term")
+    times = {name: {str(kh): nanoseconds(name, kh, count, device) for kh in KH} for name in names}
+    return {"ns": times, "machine": machine(device_name)}
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = tables.parser(__doc__)
     parser.add_argument("--device")
     parser.add_argument("--count", type=int, default=10**6)
-    tables.add_options(parser)
     options = parser.parse_args()
-    if options.source:
-        result = tables.stored(options.source)
-    else:
-        device = devices.resolve_device(options.device)
-        load_kernels(device)
-        names = ("ka_spm", "i2em", "oh", "dubois", "facet", "ka_spm with a term", "i2em with a term")
-        times = {name: {str(kh): nanoseconds(name, kh, options.count, device) for kh in KH} for name in names}
-        result = {"ns": times, "made": tables.made(), "machine": machine(options.device)}
-        tables.save(options.out, result)
+    result = tables.result_of(options, lambda: measure(options.device, options.count))
     rows = [[f"`{name}`", *(f"{one:.3g}" for one in each.values())] for name, each in result["ns"].items()]
     kind = result["machine"]["device"].partition(":")[0]
     header = (f"ns, {result['machine']['device_name']}", *(f"kh {kh}" for kh in KH))

@@ -23,6 +23,7 @@ from warpsar.diagnosis.found import DiagnoseOptions
 from warpsar.runtime import console
 
 Row = dict[str, Any]
+Bodies = Callable[[list[Row]], Mapping[str, str]]
 FOLDER = click.Path(file_okay=False, path_type=Path)
 
 out = click.option("-o", "--out", required=True, type=FOLDER, help="Folder of the runs.")
@@ -45,6 +46,22 @@ def jobs(default: int) -> Any:
 
 def minutes(default: float) -> Any:
     return click.option("--minutes", type=float, default=default, show_default=True, help="Limit of one search.")
+
+
+def table(main: click.Group) -> Callable[[Bodies], Bodies]:
+    """Adds the command `table` to a study: of the stored runs the decorated function makes tables, by their names."""
+
+    def decorate(bodies: Bodies) -> Bodies:
+        @main.command(name="table", help=bodies.__doc__)
+        @out
+        @write
+        def command(out: Path, write: bool) -> None:
+            rows = stored(out)
+            tables.publish(bodies(rows), oldest(rows), write)
+
+        return bodies
+
+    return decorate
 
 
 def stored(folder: Path) -> list[Row]:

@@ -23,13 +23,10 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-
-from warpsar.runtime import devices
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
 import tables
 from simulate import machine, said
+
+from warpsar.runtime import devices
 
 STEPS = 5  # of GraphAdam, ten iterations each; as many iterations of Adam on the CPU
 RAYS_PER_PIXEL = 32.0
@@ -37,25 +34,22 @@ RAYS_PER_PIXEL = 32.0
 
 def town_of(ranks: Any, device: Any, options: argparse.Namespace, folder: Path) -> Any:
     """The town with a field of three parameters per vertex, and images of it from all around, brighter than its own."""
-    from scenes import town_scene
+    from scenes import LOOKS, around, town_scene
 
     from warpsar.io.images import write_tiff
     from warpsar.simulation.command import Simulation
     from warpsar.surface.stage import Stage
-    from warpsar.world.tables import View
 
     scene = town_scene(options.faces, (options.pixels, options.pixels), RAYS_PER_PIXEL, layout="vertex")
-    angles = [360.0 * i / options.views for i in range(options.views)]
-    views = [View(name=f"v{i}", azimuth_deg=a, incidence_deg=45.0, looks=16.0) for i, a in enumerate(angles)]
-    scene = replace(scene, views=views)
+    scene = around(scene, options.views, 0.0)
     made = Simulation(scene, Stage.of(scene, device))
-    for index, view in enumerate(views):
+    for index, view in enumerate(scene.views):
         if index % ranks.size == ranks.rank:
             write_tiff(folder / f"{view.name}.tif", 1.3 * made.view(view, index).beta0["HH"])  # not the start
     del made
     ranks.barrier()
-    views = [view.model_copy(update={"images": {"HH": folder / f"{view.name}.tif"}}) for view in views]
-    return replace(scene, views=views)
+    seen = [{"images": {"HH": folder / f"{view.name}.tif"}, "looks": LOOKS} for view in scene.views]
+    return replace(scene, views=[view.model_copy(update=one) for view, one in zip(scene.views, seen, strict=True)])
 
 
 def timed(ranks: Any, device: Any, task: Callable[[], Any]) -> tuple[float, Any]:
@@ -257,14 +251,13 @@ def bodies(result: dict[str, Any]) -> dict[str, str]:
 
 def run(options: argparse.Namespace) -> dict[str, Any]:
     """Every number of processes, one after the other."""
-    result: dict[str, Any] = {"benchmark": "scaling", **machine(options.device), "entries": []}
+    result: dict[str, Any] = {**machine(options.device), "entries": []}
     sizes = ("faces", "pixels", "views", "iterations", "images")
     result |= {name: getattr(options, name) for name in sizes}
     for count in options.ranks:
         with TemporaryDirectory() as folder:
-            safe = ["-P"] if sys.flags.safe_path else []
-            command = [sys.executable, *safe, "-m", "torch.distributed.run", "--standalone", "--no-python"]
-            command += ["--nproc-per-node", str(count), sys.executable, *safe, __file__, "--folder", folder]
+            command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--no-python"]
+            command += ["--nproc-per-node", str(count), sys.executable, __file__, "--folder", folder]
             for name in ("device", *sizes):
                 command += [f"--{name}", str(getattr(options, name))]
             threads = {"WARPSAR_THREADS": "1"} if options.device == "cpu" else {}
@@ -276,7 +269,7 @@ def run(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = tables.parser(__doc__)
     parser.add_argument("--device", default="cuda", help="cpu or cuda")
     parser.add_argument("--ranks", type=int, nargs="+", default=[1, 2, 4])
     parser.add_argument("--faces", type=int, default=900_000)
@@ -285,7 +278,6 @@ def main() -> None:
     parser.add_argument("--iterations", type=int, default=100, help="of the whole of learn")
     parser.add_argument("--images", type=int, default=1000)
     parser.add_argument("--folder", help=argparse.SUPPRESS)
-    tables.add_options(parser)
     options = parser.parse_args()
     if options.folder:
         work(options)

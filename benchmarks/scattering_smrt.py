@@ -9,11 +9,9 @@ writes its numbers, which tests/models/test_smrt.py holds the kernels against.
 
 from __future__ import annotations
 
-import argparse
 import csv
 import importlib.metadata
 import itertools
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -66,7 +64,6 @@ def ours_db(rows: list[dict[str, Any]], channel: str) -> np.ndarray:
 
 def theirs() -> list[dict[str, Any]]:
     """SMRT's numbers, a row for each model and surface."""
-    sys.modules.setdefault("coverage", None)  # type: ignore[arg-type]  # numba would take benchmarks/coverage.py for it
     from smrt.interface.iem_fung92 import IEM_Fung92
     from smrt.interface.iem_fung92_brogioni10 import IEM_Fung92_Briogoni10
 
@@ -116,9 +113,8 @@ def table_of(rows: list[dict[str, Any]]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = tables.parser(__doc__, stored=False)
     parser.add_argument("--golden", type=Path, help="where SMRT's numbers go (CSV)")
-    tables.add_write(parser)
     given = parser.parse_args()
     wp.config.log_level = wp.LOG_WARNING
     rows = theirs()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,6 +19,7 @@ MATERIAL = {"eps_r": 5.0, "rms_height_m": 0.0004, "correlation_length_m": 0.005}
 FREQUENCY_HZ = 15.2e9
 INCIDENCE_DEG = 45.0
 HIGHEST_M = 30.0
+LOOKS = 16.0
 
 
 def town_mesh(faces: int, *, scalars: bool = False, seed: int = 0) -> Mesh:
@@ -65,6 +67,23 @@ def town_scene(
         views=[View(name="west", azimuth_deg=270.0, incidence_deg=INCIDENCE_DEG)],
         sampling=Sampling(rays_per_pixel=rays_per_pixel),
     )
+
+
+def around(scene: Scene, count: int, first_deg: float = 270.0) -> Scene:
+    """The scene seen from so many sides, 360 / count degrees apart."""
+    sides = [(f"v{k}", first_deg + 360.0 * k / count) for k in range(count)]
+    views = [scene.views[0].model_copy(update={"name": name, "azimuth_deg": azimuth}) for name, azimuth in sides]
+    return replace(scene, views=views)
+
+
+def measuring(scene: Scene, images: Iterable[np.ndarray], *, speckled: bool = True) -> Scene:
+    """The scene with the `images` of its views, in HH, as its measured ones: of 16 looks, under the same speckle each
+    time, or without any."""
+    random, views = np.random.default_rng(0), []
+    for view, image in zip(scene.views, images, strict=True):
+        seen = image * random.gamma(LOOKS, 1.0 / LOOKS, image.shape) if speckled else image
+        views.append(view.model_copy(update={"images": {"HH": seen.astype(np.float32)}, "looks": LOOKS}))
+    return replace(scene, views=views)
 
 
 def example_with(effect: str | None, rays_per_pixel: float) -> Scene:

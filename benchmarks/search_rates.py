@@ -13,8 +13,6 @@ again. docs/diagnosis-rates.md has the results.
 
 import json
 import math
-import sys
-import tempfile
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -23,13 +21,10 @@ from typing import Any
 
 import click
 import numpy as np
-from scipy.ndimage import gaussian_filter, gaussian_filter1d, map_coordinates
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
 import runs
 import tables
 from runs import bounds
+from scipy.ndimage import gaussian_filter, gaussian_filter1d, map_coordinates
 from towns import (
     KEYS,
     SEEN,
@@ -390,7 +385,7 @@ def clean_images(found: Drawn, device: str) -> dict[str, np.ndarray]:
 
 
 def visible(
-    number: int, kinds: list[str], random: np.random.Generator, device: str, folder: Path
+    number: int, kinds: list[str], random: np.random.Generator, device: str
 ) -> tuple[Drawn, dict[str, np.ndarray], float, bool]:
     """A scene in which what is wrong can be seen: with its images without speckle, 2 ln L of what there is to be found,
     and whether its speckle is correlated."""
@@ -401,7 +396,7 @@ def visible(
             whole = {v: replace(law, looks=float(max(round(law.looks), 1))) for v, law in found.law.items()}
             found = replace(found, law=whole)
         clean = clean_images(found, device)
-        there = seen(found, clean, SHARING if correlated else 1.0, device, folder)
+        there = seen(found, clean, SHARING if correlated else 1.0, device)
         if there > SEEN * max(len(kinds), 1) or not kinds:
             return found, clean, there, correlated
 
@@ -410,15 +405,13 @@ def one_run(number: int, device: str, minutes: float) -> dict[str, Any]:
     first = time.perf_counter()
     random = np.random.default_rng([20261124, number])
     kinds = kinds_of(number, random)
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        found, clean, there, correlated = visible(number, kinds, random, device, folder)
-        views = with_images(random, found, clean, correlated, folder)
-        materials = started(found.declared, random)
-        scene = replace(found.declared, views=views, materials=materials, sampling=Sampling(seed=number))
-        begun = time.perf_counter()
-        done = diagnose(scene, device=device, options=DiagnoseOptions(time_limit_s=60.0 * minutes))
-        ended = time.perf_counter()
+    found, clean, there, correlated = visible(number, kinds, random, device)
+    views = with_images(random, found, clean, correlated)
+    materials = started(found.declared, random)
+    scene = replace(found.declared, views=views, materials=materials, sampling=Sampling(seed=number))
+    begun = time.perf_counter()
+    done = diagnose(scene, device=device, options=DiagnoseOptions(time_limit_s=60.0 * minutes))
+    ended = time.perf_counter()
     return {
         "number": number,
         "kinds": kinds,
@@ -563,12 +556,9 @@ def run(out: Path, first: int, scenes: int, jobs: int, minutes: float, max_time:
     )  # fmt: skip
 
 
-@main.command()
-@runs.out
-@runs.write
-def table(out: Path, write: bool) -> None:
+@runs.table(main)
+def table(rows: list[runs.Row]) -> dict[str, str]:
     """The rates of the runs that are there."""
-    rows = runs.stored(out)
     lines = []
     for group, kinds in (("nothing", ["nothing"]), ("known", [*KNOWN, "several"]), ("outside", [*OUTSIDE])):
         for kind in kinds:
@@ -604,11 +594,10 @@ def table(out: Path, write: bool) -> None:
             )
             sums.append([f"intervals of {what} that are withheld", f"{len(mine) - len(told)} of {len(mine)}", ""])
     head = ["", "wrong", "scenes", *OUTCOMES, "median [s]"]
-    bodies = {
+    return {
         "search_rates": tables.markdown(head, lines),
         "search_rates_sums": tables.markdown(["", "scenes", "95 %"], sums),
     }
-    tables.publish(bodies, runs.oldest(rows), write)
 
 
 def label(row: Mapping[str, Any]) -> str:

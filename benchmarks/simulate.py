@@ -25,11 +25,9 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from warpsar.runtime import console, devices, threads
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
 import tables
+
+from warpsar.runtime import console, devices, threads
 
 Size = dict[str, Any]
 PRESETS: dict[str, list[Size]] = {
@@ -199,7 +197,7 @@ def sizes_of(options: argparse.Namespace) -> list[Size]:
 
 def run(options: argparse.Namespace) -> dict[str, Any]:
     """Every size in a process of its own, so that one's memory is not another's peak."""
-    result: dict[str, Any] = {"benchmark": "simulate", **machine(options.device), "presets": options.preset}
+    result: dict[str, Any] = {**machine(options.device), "presets": options.preset}
     result["sizes"] = []
     for size in sizes_of(options):
         command = [sys.executable, __file__, "--one", json.dumps(size), "--repeats", str(options.repeats)]
@@ -217,7 +215,7 @@ def run(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = tables.parser(__doc__)
     parser.add_argument("--device", help="cpu, cuda, cuda:N; default as the program's")
     parser.add_argument("--preset", choices=sorted(PRESETS), action="append", help="sizes; may be repeated")
     parser.add_argument("--faces", type=int, help="one size of your own, with --pixels and --rays-per-pixel")
@@ -227,7 +225,6 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=5, help="runs of which the median counts")
     parser.add_argument("--max-memory", type=float, default=2.0, metavar="GIB", help="bound on rays and records")
     parser.add_argument("--one", help=argparse.SUPPRESS)  # a size, as JSON: measured in this process
-    tables.add_options(parser)
     options = parser.parse_args()
     if options.one:
         size = json.loads(options.one)

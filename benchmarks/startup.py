@@ -9,7 +9,6 @@ Wall time, and CPU seconds of all threads and child processes, which other progr
 
 from __future__ import annotations
 
-import argparse
 import os
 import resource
 import shutil
@@ -19,8 +18,6 @@ import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import tables
 from simulate import machine, said
@@ -67,17 +64,13 @@ def table(result: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = tables.parser(__doc__)
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--install", action="store_true", help="also a new virtual environment and pip install")
-    tables.add_options(parser)
     options = parser.parse_args()
-    if options.source:
-        result = tables.stored(options.source)
-    else:
-        result = {"benchmark": "startup", **machine(options.device)}
-        result["times"] = measure(options.device, options.install)
-        tables.save(options.out, result)
+    result = tables.result_of(
+        options, lambda: {**machine(options.device), "times": measure(options.device, options.install)}
+    )
     tables.publish({f"startup.{result['device'].split(':')[0]}": table(result)}, result, options.write)
 
 

@@ -12,8 +12,6 @@ the file's: what there is to be found at all.
 """
 
 import json
-import sys
-import tempfile
 import time
 from collections.abc import Mapping
 from dataclasses import replace
@@ -22,9 +20,6 @@ from typing import Any
 
 import click
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
 import runs
 import tables
 from search_rates import block, clean_images
@@ -114,14 +109,12 @@ def one_run(key: str, device: str, minutes: float) -> dict[str, Any]:
     kind, resolution, looks = key.split("|")
     true, declared = (scene_of(storeys, float(resolution), float(looks)) for storeys in MADE[kind])
     random = np.random.default_rng(sum(map(ord, key)))
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        found = Drawn(true, declared, laws(declared), as_it_is)
-        clean = clean_images(found, device)
-        there = seen(found, clean, 1.0, device, folder)
-        scene = replace(declared, views=with_images(random, found, clean, False, folder))
-        begun = time.perf_counter()
-        done = diagnose(scene, device=device, options=DiagnoseOptions(time_limit_s=60.0 * minutes))
+    found = Drawn(true, declared, laws(declared), as_it_is)
+    clean = clean_images(found, device)
+    there = seen(found, clean, 1.0, device)
+    scene = replace(declared, views=with_images(random, found, clean, False))
+    begun = time.perf_counter()
+    done = diagnose(scene, device=device, options=DiagnoseOptions(time_limit_s=60.0 * minutes))
     height = done.diagnosis.objects.get(MIDDLE, {})
     return {
         "number": key,
@@ -188,23 +181,21 @@ def run(
     )  # fmt: skip
 
 
-@main.command()
-@runs.out
-@runs.write
-def table(out: Path, write: bool) -> None:
+@runs.table(main)
+def table(rows: list[runs.Row]) -> dict[str, str]:
     """What was answered, and what there is to be found; rows without a run are left out."""
-    rows = {row["number"]: row for row in runs.stored(out)}
+    by_key = {row["number"]: row for row in rows}
     body = []
     for kind in MADE:
         for looks in LOOKS:
             line = [kind, f"{looks:g}"]
             for at in RESOLUTIONS_M:
-                row = rows.get(f"{kind}|{at:g}|{looks:g}")
+                row = by_key.get(f"{kind}|{at:g}|{looks:g}")
                 line.append("not run" if row is None else f"{answer(row)} ({row['there']:.0f})")
-            if any(f"{kind}|{at:g}|{looks:g}" in rows for at in RESOLUTIONS_M):
+            if any(f"{kind}|{at:g}|{looks:g}" in by_key for at in RESOLUTIONS_M):
                 body.append(line)
     head = ["wrong", "looks", *(f"{at:g} m" for at in RESOLUTIONS_M)]
-    tables.publish({"storeys": tables.markdown(head, body)}, runs.oldest(rows.values()), write)
+    return {"storeys": tables.markdown(head, body)}
 
 
 if __name__ == "__main__":

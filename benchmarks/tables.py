@@ -15,7 +15,7 @@ import json
 import os
 import re
 import subprocess
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -112,15 +112,23 @@ def publish(bodies: Mapping[str, str], result: Mapping[str, Any], write: bool) -
             put(name, body, result.get("made", {"date": UNKNOWN, "commit": UNKNOWN}))
 
 
-def add_write(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--write", action="store_true", help="put the tables into their pages in docs/")
+def parser(doc: str | None, *, stored: bool = True) -> argparse.ArgumentParser:
+    """Of a benchmark: to put its tables into pages; where it has one JSON file, to write that and to start from it."""
+    made = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
+    if stored:
+        made.add_argument("--out", type=Path, help="JSON file")
+        made.add_argument("--from", dest="source", type=Path, metavar="FILE", help="JSON of a run: nothing is measured")
+    made.add_argument("--write", action="store_true", help="put the tables into their pages in docs/")
+    return made
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """What a benchmark with one JSON file offers: to write it, to start from it, and to put its tables into pages."""
-    parser.add_argument("--out", type=Path, help="JSON file")
-    parser.add_argument("--from", dest="source", type=Path, metavar="FILE", help="JSON of a run: nothing is measured")
-    add_write(parser)
+def result_of(options: argparse.Namespace, make: Callable[[], Mapping[str, Any]]) -> dict[str, Any]:
+    """That of --from; or what `make` makes now, dated, and kept in --out."""
+    if options.source is not None:
+        return stored(options.source)
+    result = {"made": made(), **make()}
+    save(options.out, result)
+    return result
 
 
 def save(path: Path | None, result: Mapping[str, Any]) -> None:

@@ -4,16 +4,14 @@ Studies of many scenes draw them: search_rates.py, interval_rates.py and storeys
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from warpsar.compare.comparison import compare
-from warpsar.io.images import write_tiff
 from warpsar.runtime import devices
 from warpsar.scene.scene import Scene
 from warpsar.speckle.law import Law
@@ -119,12 +117,12 @@ def as_it_is(name: str, image: np.ndarray) -> np.ndarray:
     return image
 
 
-def laws(scene: Scene, texture: float = math.inf, factor: float = 1.0, only: str = "") -> dict[str, Law]:
-    """The laws of the views' declared looks, times a factor (in one view, or in all)."""
+def laws(scene: Scene, texture: float = math.inf, factor: float = 1.0) -> dict[str, Law]:
+    """The laws of the views' declared looks, times a factor."""
     found = {}
     for view in scene.views:
         assert view.looks is not None
-        found[view.name] = Law(view.looks * (factor if only in ("", view.name) else 1.0), texture)
+        found[view.name] = Law(view.looks * factor, texture)
     return found
 
 
@@ -209,27 +207,26 @@ def speckled(random: np.random.Generator, law: Law, shape: tuple[int, int], corr
     return np.asarray((fields**2).mean(axis=0) / power * texture)
 
 
+def seeing(views: Iterable[View], images: Callable[[View], np.ndarray]) -> list[View]:
+    """The views with what they measure, in HH."""
+    return [view.model_copy(update={"images": {"HH": images(view).astype(np.float32)}}) for view in views]
+
+
 def with_images(
-    random: np.random.Generator, found: Drawn, clean: Mapping[str, np.ndarray], correlated: bool, folder: Path
+    random: np.random.Generator, found: Drawn, clean: Mapping[str, np.ndarray], correlated: bool
 ) -> list[View]:
-    """The declared views with the images under speckle, as files of the folder."""
-    views = []
-    for view in found.declared.views:
-        path = folder / f"{view.name}.tif"
-        speckle = speckled(random, found.law[view.name], clean[view.name].shape, correlated)
-        write_tiff(path, (clean[view.name] * speckle).astype(np.float32))
-        views.append(view.model_copy(update={"images": {"HH": path}}))
-    return views
+    """The declared views with the images under speckle."""
+
+    def image(view: View) -> np.ndarray:
+        return clean[view.name] * speckled(random, found.law[view.name], clean[view.name].shape, correlated)
+
+    return seeing(found.declared.views, image)
 
 
-def seen(found: Drawn, clean: Mapping[str, np.ndarray], sharing: float, device: str, folder: Path) -> float:
+def seen(found: Drawn, clean: Mapping[str, np.ndarray], sharing: float, device: str) -> float:
     """2 ln L by which images without speckle differ from the declared model, bounded, plus what other laws of speckle
     make of it: how much there is to be found. `sharing`: pixels that share one speckle."""
-    views = []
-    for view in found.declared.views:
-        path = folder / f"clean_{view.name}.tif"
-        write_tiff(path, np.maximum(clean[view.name], 1e-12).astype(np.float32))
-        views.append(view.model_copy(update={"images": {"HH": path}}))
+    views = seeing(found.declared.views, lambda view: np.maximum(clean[view.name], 1e-12))
     total = 0.0
     for image in compare(replace(found.declared, views=views), devices.resolve_device(device), edges=False).images:
         level = image.level

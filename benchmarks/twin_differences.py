@@ -12,7 +12,6 @@ to runs.jsonl in the folder; runs that are there already are not made again.
 """
 
 import re
-import sys
 import tempfile
 import time
 from collections import Counter
@@ -23,13 +22,10 @@ from typing import Any
 
 import click
 import numpy as np
-from scipy.ndimage import distance_transform_edt, gaussian_filter
-from scipy.spatial import cKDTree
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
 import runs
 import tables
+from scipy.ndimage import distance_transform_edt, gaussian_filter
+from scipy.spatial import cKDTree
 
 import warpsar
 from warpsar.formats import registry
@@ -279,12 +275,9 @@ def run(folder: str, out: Path, seeds: int, first: int, jobs: int, max_time: flo
     )  # fmt: skip
 
 
-@main.command()
-@runs.out
-@runs.write
-def table(out: Path, write: bool) -> None:
+@runs.table(main)
+def table(rows: list[runs.Row]) -> dict[str, str]:
     """What was named, and how often intervals held the truth."""
-    rows = runs.stored(out)
     body = []
     for relief in RELIEF:
         for kind, words in WRONG.items():
@@ -295,7 +288,7 @@ def table(out: Path, write: bool) -> None:
             inside = "" if kind == "nothing" else f"{sum(held)} of {len(held)}"
             body.append([relief, words, len(mine), counts["right"], counts["silent"], wrongly or "0", inside])
     head = ["ground", "wrong", "images", "named", "nothing named", "named otherwise", "95 % interval holds the truth"]
-    tables.publish({"twin.differences": tables.markdown(head, body)}, runs.oldest(rows), write)
+    return {"twin.differences": tables.markdown(head, body)}
 
 
 if __name__ == "__main__":

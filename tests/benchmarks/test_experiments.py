@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from conftest import ROOT, benchmark
 
 from warpsar.runtime import devices
@@ -159,17 +158,3 @@ def test_fields_are_learned_and_drawn(experiments: Any, tmp_path: Path) -> None:
     fields.draw_images(tmp_path / "images.png", experiment, fits[1:])
     fields.draw_maps(tmp_path / "maps.png", experiment, three, experiment, three)
     assert all((tmp_path / f"{name}.png").stat().st_size > 5000 for name in ("iterations", "images", "maps"))
-
-
-@pytest.mark.slow
-def test_a_case_is_compared_with_its_truth(experiments: Any, independent_cases: Path, tmp_path: Path) -> None:
-    result = CliRunner().invoke(
-        experiments.main, ["case", str(independent_cases / "none"), "-o", str(tmp_path), "--device", "cpu"]
-    )
-    assert result.exit_code == 0, result.output
-    content = experiments.json.loads((tmp_path / "case_none.json").read_text())
-    assert 0.97 < content["train"]["deviance"] < 1.03
-    assert 0.97 < content["test"]["deviance"] < 1.03
-    known = [row for row in content["parameters"] if row["identifiable"]]
-    # 95 % each: of 11, three or more outside in one case of 60
-    assert sum(not row["inside"] for row in known) <= 2

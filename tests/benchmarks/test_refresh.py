@@ -178,6 +178,15 @@ def test_the_command_of_a_named_table_runs_and_writes(root: Path, monkeypatch: p
     assert refresh.run(tables.found(root), ["first"], root) == 1  # there is no such script
 
 
+def test_a_run_is_kept_dated_and_taken_up_again(tmp_path: Path) -> None:
+    path = tmp_path / "run.json"
+    made = tables.result_of(tables.parser("").parse_args(["--out", str(path)]), lambda: {"seconds": 2.0})
+    assert made["seconds"] == 2.0
+    assert set(made["made"]) == {"date", "commit"}
+    again = tables.parser("").parse_args(["--from", str(path)])
+    assert tables.result_of(again, lambda: pytest.fail("it was measured again")) == made
+
+
 def test_the_tables_of_this_checkout_can_be_read() -> None:
     """Names are unique, and every command is a script of benchmarks/ that takes --write."""
     here = tables.found()
@@ -186,9 +195,7 @@ def test_the_tables_of_this_checkout_can_be_read() -> None:
         python, script = table.command.split()[:2]
         assert python == "python"
         source = (ROOT / script).read_text()
-        assert any(way in source for way in ("tables.add_options(", "tables.add_write(", "@runs.write", '"--write"')), (
-            script
-        )
+        assert any(way in source for way in ("tables.parser(", "@runs.table(", "@runs.write", '"--write"')), script
 
 
 # ---- what the pictures and the rates of the docs ask of an effect ----

@@ -19,8 +19,7 @@ from warpsar.world import scattering_term
 from warpsar.world.scattering_term import ScatteringTerm
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
-import scattering_experiment as experiment
-from references import changed, clean_images, measured
+from references import DATA, changed, clean_images, measured
 
 pytestmark = pytest.mark.unit
 
@@ -106,9 +105,11 @@ def test_the_command_leaves_no_more_than_speckle_of_another_models_images(tmp_pa
     The images are down to their speckle. The term is what lies between the two models on level ground, to 0.35 dB:
     this ground is rolling, so facets are turned about the line of sight, and their HH holds some VV.
     """
-    truth = experiment.truth_of(0.003)
-    images = clean_images(experiment.scene_with("i2em", truth))
-    scene = measured(experiment.scene_with("ka_spm", truth), images, tmp_path, experiment.LOOKS, 0)
+    given = Scene.load(DATA / "in_domain" / "spm.toml")
+    truth, declared = (
+        replace(given, materials={"soil": Material(**SOIL, model=model)}) for model in ("i2em", "ka_spm")
+    )
+    scene = measured(declared, clean_images(truth), tmp_path, 16.0, 0)
     changed(scene, "soil", learn=("learned_term",)).save(tmp_path / "scene.toml")
     done = CliRunner().invoke(
         main, ["learn", str(tmp_path / "scene.toml"), "-o", str(tmp_path / "out"), "--device", "cpu"]

@@ -4,21 +4,55 @@ from __future__ import annotations
 
 import csv
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import warpsar
 from warpsar.calibration.sites import ReflectorSite
 from warpsar.formats import gamma, nisar
+from warpsar.products.orbit import Orbit
 from warpsar.products.zero_doppler import abeam
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
-from reflectors_measured import AUTHORS_PLACE, authors_method, orbit_of, shift
-
 pytestmark = pytest.mark.measured
+F64 = NDArray[np.float64]
+AUTHORS_PLACE = 110, 87
+"""Line and pixel that CoRAL's authors take, from 0."""
+
+
+def authors_method(power: F64, line: int, pixel: int) -> tuple[float, float, float]:
+    """Sum over 5 x 5, mean of the ring up to 9 x 9, and target energy T = sum - 25 x mean (Garthwaite, 2017)."""
+    half, outer = 2, 4
+    inner = power[line - half : line + half + 1, pixel - half : pixel + half + 1]
+    whole = power[line - outer : line + outer + 1, pixel - outer : pixel + outer + 1]
+    clutter = (whole.sum() - inner.sum()) / (whole.size - inner.size)
+    return float(inner.sum()), float(clutter), float(inner.sum() - inner.size * clutter)
+
+
+def orbit_of(fit: dict[str, object], start: float, stop: float) -> Orbit:
+    """State vectors at every second from the Chebyshev polynomials of a date."""
+    time = np.arange(np.floor(start) - 6.0, np.ceil(stop) + 7.0)
+    coefficient = {name: np.array(value["array"]) for name, value in fit.items() if isinstance(value, dict)}
+
+    def at(names: tuple[str, str, str]) -> F64:
+        since = time - float(fit["t0"])  # type: ignore[arg-type]
+        return np.stack([np.polynomial.chebyshev.chebval(since, coefficient[name]) for name in names], axis=-1)
+
+    return Orbit.of("GECORIS", time, at(("cX", "cY", "cZ")), at(("cVX", "cVY", "cVZ")))
+
+
+def shift(first: NDArray[np.complex128], second: NDArray[np.complex128]) -> tuple[float, float]:
+    """Range shift of the first image against the second [pixels], and their coherence there."""
+    a, b = np.fft.fft(first, axis=1), np.fft.fft(second, axis=1)
+    cross = (a * b.conj()).sum(axis=0)
+    power = np.sqrt((np.abs(a) ** 2).sum(axis=0) * (np.abs(b) ** 2).sum(axis=0))
+    frequency, used = np.fft.fftfreq(first.shape[1]), power > 0.3 * np.median(power)
+    tried = np.linspace(-1.0, 1.0, 4001)
+    ramps = np.exp(2j * np.pi * np.outer(tried, frequency[used]))
+    heights = np.abs(ramps @ cross[used])
+    return float(tried[heights.argmax()]), float(heights.max() / power[used].sum())
 
 
 def test_the_reflector_of_coral_is_found_in_place_and_date(measured_data: Path) -> None:

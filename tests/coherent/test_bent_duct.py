@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
+import duct_modes as modes
 import numpy as np
 import pytest
 from bodies import WAVELENGTH, K, amplitudes, rectangles
-from conftest import benchmark
 from numpy.typing import NDArray
 
 import warpsar
@@ -66,25 +66,20 @@ def lid_sends(duct, low_m: float, phi: NDArray[np.float64]) -> NDArray[np.comple
     return -1j * K / (2 * np.pi) * duct.width_m * duct.height_m * np.cos(phi) * pattern
 
 
-@pytest.fixture(scope="module")
-def modes():
-    return benchmark("duct_modes")
-
-
-def bend(modes, scale: float):
+def bend(scale: float):
     """A bend by 60 degrees, 12.3 wavelengths wide; concave walls of 18.3 wavelengths focus what they reflect."""
     size = scale * WAVELENGTH
     pieces = modes.Piece(size), modes.Piece(math.radians(60.0), 6 * size), modes.Piece(size)
     return modes.Duct(WIDTH, 12.3 * size, pieces)
 
 
-def double_bend(modes):
+def double_bend():
     size = 3 * WAVELENGTH
     arcs = [modes.Piece(math.radians(25.0), 20 * size, down=down) for down in (True, False)]
     return modes.Duct(WIDTH, 12.3 * size, (modes.Piece(size), arcs[0], modes.Piece(size), arcs[1], modes.Piece(size)))
 
 
-def test_the_modes_of_a_straight_duct_are_the_closed_ones(modes) -> None:
+def test_the_modes_of_a_straight_duct_are_the_closed_ones() -> None:
     """Every mode comes back with -e^{-2j beta depth}."""
     width, depth = 5.3 * WAVELENGTH, 9 * WAVELENGTH
     rho, beta = modes.reflection(modes.Duct(WIDTH, width, (modes.Piece(depth),)), True, K**2, 14)
@@ -95,9 +90,9 @@ def test_the_modes_of_a_straight_duct_are_the_closed_ones(modes) -> None:
 
 
 @pytest.mark.parametrize("electric", [True, False])
-def test_a_bend_returns_what_enters(modes, electric: bool) -> None:
+def test_a_bend_returns_what_enters(electric: bool) -> None:
     """The flux of a mode goes as beta |a|^2. So the scaled matrix is unitary, and by reciprocity symmetric."""
-    rho, beta = modes.reflection(bend(modes, 1.0), electric, (0.9 * K) ** 2, 60)
+    rho, beta = modes.reflection(bend(1.0), electric, (0.9 * K) ** 2, 60)
     some = np.flatnonzero(beta.real > 1e-9)
     assert len(some) > 20
     root = np.sqrt(beta[some].real)
@@ -110,17 +105,17 @@ def test_a_bend_returns_what_enters(modes, electric: bool) -> None:
 @pytest.mark.parametrize(
     ("make", "coherence"),
     [
-        (lambda modes: bend(modes, 1.0), 0.88),
-        (lambda modes: bend(modes, 3.0), 0.93),
+        (lambda: bend(1.0), 0.88),
+        (lambda: bend(3.0), 0.93),
         pytest.param(double_bend, 0.89, marks=pytest.mark.slow),
     ],
 )
-def test_a_bent_duct_against_its_modes(modes, make, coherence: float) -> None:
+def test_a_bent_duct_against_its_modes(make, coherence: float) -> None:
     """Found: 0.903, 0.949, 0.911 for Fresnel numbers of 5, 15, 9: rays hold the better the wider the duct is.
 
     Without the caustics' e^{j pi / 2} it is 0.73, 0.80, 0.70; with e^{-j pi / 2} 0.82, 0.88, 0.60.
     """
-    duct = make(modes)
+    duct = make()
     low, turned = -duct.height_m / 2, np.linspace(2.0, 50.0, 49)
     phi = np.deg2rad(turned)
     opened, closed = (amplitudes(body(duct, low, lid), 90.0 - turned, 90.0, **PO)[:, 0, 3] for lid in (False, True))

@@ -8,7 +8,6 @@ from scipy.integrate import quad
 from scipy.stats import kstest, ncx2
 
 from warpsar.curves.likelihood import distribution, log_density, median, slopes
-from warpsar.curves.noise import of_repeats, share_of
 
 pytestmark = pytest.mark.unit
 
@@ -56,19 +55,3 @@ def test_simulated_measurements_have_uniform_p_values() -> None:
     n = np.sqrt(noise / 2) * (rng.normal(size=1500) + 1j * rng.normal(size=1500))
     measured = np.abs(np.sqrt(model) + n) ** 2
     assert kstest(distribution(measured, model, noise), "uniform").pvalue > 0.01
-
-
-def test_repeats_tell_background_and_share() -> None:
-    rng = np.random.default_rng(5)
-    signal = 10.0 ** rng.uniform(-4, 1, 1500)
-    background, share = 1e-3, share_of(0.3)
-
-    def once() -> np.ndarray:
-        n = rng.normal(size=(2, 1500))
-        return np.abs(np.sqrt(signal) + np.sqrt((background + share * signal) / 2) * (n[0] + 1j * n[1])) ** 2
-
-    found = of_repeats(once(), once())
-    assert found.background_m2 == pytest.approx(
-        background, rel=0.15
-    )  # a third of 1500 rows near it: 4 %, and the prior
-    assert found.error_db == pytest.approx(0.3, rel=0.1)

@@ -2,7 +2,6 @@
 small scenes from end to end."""
 
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from conftest import benchmark
 from learning_scenes import bumpy, measured
 from test_fields import scene_with_fields
 from worlds import mesh_of, plate, scene_of, view
@@ -26,6 +26,7 @@ from warpsar.diagnosis.result import diagnose
 from warpsar.diagnosis.scores.partly_known import PartlyKnown
 from warpsar.diagnosis.scores.score import REACH
 from warpsar.diagnosis.turn.field_projection import FREED, FieldProjection, bar_those_alone, known_of, sparse_tangent
+from warpsar.effects.registry import get
 from warpsar.errors import InputError
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.roughness import FieldPrior, Roughness
@@ -361,13 +362,21 @@ def test_vertices_that_no_file_holds_are_refused_at_once(tmp_path: Path) -> None
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("case", "named"), [("none", []), ("point_spread", ["point_spread"])])
-def test_maps_of_the_experiments(case: str, named: list[str], tmp_path: Path) -> None:
+@pytest.mark.parametrize("named", [[], ["point_spread"]])
+def test_maps_of_the_experiments(named: list[str], tmp_path: Path) -> None:
     """64 x 64 texels of three parameters, 12288 unknowns, at 16 looks."""
-    sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
-    from diagnosis_fields import scene_of as experiment
-
-    done = diagnose(experiment(case, 16, 0, tmp_path), device="cpu", options=DiagnoseOptions())
+    references = benchmark("references")
+    train, test = ("az000", "az120", "az180", "az300"), ("az060",)
+    scene = Scene.load(references.DATA / "fields" / "scene.toml")
+    scene = replace(scene, views=[one for one in scene.views if one.name in (*train, *test)])
+    images = references.clean_images(replace(scene, effects={name: get(name).rate_case for name in named}))
+    given = references.trained_on(references.measured(scene, images, tmp_path, 16.0, 0), train, test)
+    shape = scene.field("site", "eps_r").shape
+    start = zip(references.KEYS, (4.0, 0.0006, 0.0035), strict=True)
+    maps = {key: Pixels(np.full(shape, value)) for key, value in start}
+    done = diagnose(
+        references.changed(given, "site", learn=references.KEYS, **maps), device="cpu", options=DiagnoseOptions()
+    )
     assert done.diagnosis.verdict == named
 
 

@@ -49,7 +49,7 @@ def test_the_adjoint_of_a_family_is_that_of_its_phase(reach: float) -> None:
 )
 def test_the_fit_measures_a_quadratic_error(kind: dict[str, Any], spread: float) -> None:
     """2 pi at the band's edge in twelve draws, each to 5 % on all rows: from points, and from an edge alone, where the
-    speckle beside it leaves 2 % (`benchmarks/phase_search.py --only spread`; 0.5 % from points). Twelve draws tell that
+    speckle beside it leaves 2 % (docs/diagnosis-method.md; 0.5 % from points). Twelve draws tell that
     to a fifth."""
     found = []
     for seed in range(12):

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import benchmark
 from learning_scenes import cube_scene, measured, noise_free, speckle, views_at
 from worlds import ground, mesh_of, plate, scene_of
 
@@ -21,7 +22,6 @@ from warpsar.speckle.residual import residual_autocovariance
 from warpsar.surface.surface import KEYS
 from warpsar.world.tables import Material
 
-ROOT = Path(__file__).resolve().parents[2]
 # The three angles to the normal of a cube's lit faces at relative azimuths 0, 30 and 60 (docs/physics.md), here as
 # three views of a plane.
 ANGLES = (45.0, 52.2388, 69.2952)
@@ -235,26 +235,14 @@ def test_correlated_speckle_widens_the_intervals(tmp_path: Path) -> None:
 # ---- coverage ----
 
 
-def benchmark() -> Any:
-    """benchmarks/coverage.py as a module."""
-    from importlib.util import module_from_spec, spec_from_file_location
-
-    spec = spec_from_file_location("coverage_of_intervals", ROOT / "benchmarks" / "coverage.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("case", ["hh_vv", "hh_incidences"])
 @pytest.mark.parametrize("loss", ["gamma", "log", "mse"])
 def test_intervals_hold_the_truth(case: str, loss: str) -> None:
-    """30 repeats of benchmarks/coverage.py, six parameters each. The three of one material err together, so the pool
-    is worth at least the two materials, 60 draws: a true 95 % shows 83 % or less once in 2000 such runs. 200 draws
-    and more for the upper end would be needed, so none is held but 100 %."""
-    coverage = benchmark()
+    """30 repeats of benchmarks/learn_coverage.py, six parameters each. The three of one material err together, so
+    the pool is worth at least the two materials, 60 draws: a true 95 % shows 83 % or less once in 2000 such runs. 200
+    draws and more for the upper end would be needed, so none is held but 100 %."""
+    coverage = benchmark("learn_coverage")
     found = coverage.coverage(case, 30, device="cpu", loss=loss, seed=1)
     assert found["intervals"] > 120
     assert found["held_percent"] > 85.0
@@ -263,7 +251,7 @@ def test_intervals_hold_the_truth(case: str, loss: str) -> None:
 @pytest.mark.slow
 def test_intervals_hold_the_truth_under_correlated_speckle() -> None:
     """Speckle of a point-spread function: without the residuals' own covariance 95 % intervals would hold half."""
-    coverage = benchmark()
+    coverage = benchmark("learn_coverage")
     found = coverage.coverage("hh_vv", 30, device="cpu", seed=2, speckle=coverage.blurred)
     assert found["held_percent"] > 82.0
 

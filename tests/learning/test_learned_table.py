@@ -357,7 +357,7 @@ def test_a_table_is_learned_together_with_the_surface_that_shares_its_pixels(tmp
     """Strips of half a pixel, of a table and of a soil whose h is declared wrong by a factor of two, without speckle.
 
     One after the other, the table would take up what the soil lacks, and the soil would then find nothing to explain:
-    ln h stays wrong by 0.6 (benchmarks/turns.py). Incidences tell the two apart.
+    ln h stays wrong by 0.6 (docs/learn-method.md). Incidences tell the two apart.
     """
     parts: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {"lawn": [], "soil": []}
     for number in range(48):

@@ -134,7 +134,7 @@ def test_a_pose_and_the_table_of_its_ground_are_found_together(tmp_path: Path) -
     """A box starts half a metre off, with a height and an h that are wrong, on ground whose table is 2.5 dB off.
 
     A table that is fitted first, with the box where it is not, takes up its shadow: it stays wrong by 0.7 dB
-    (benchmarks/turns.py). Together all come to the truth, within their intervals.
+    (docs/learn-method.md). Together all come to the truth, within their intervals.
     """
     truth = box_on_lawn(tmp_path, {}, "true", {})
     moved = {"position_m": (0.5, -0.4, 0.0), "size_m": (4.0, 3.0, 2.6)}

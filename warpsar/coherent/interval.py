@@ -13,8 +13,7 @@ is that of physical optics but for what its border sends.
 s is a bound more than a level: for one polarization of an ogive it holds, and for the other what is left out is 20 dB
 below. So the low end takes the error to be no larger than the value itself, as long as that is above s / 10.
 
-The three numbers were found on measured bodies, bodies of revolution and Mie's series (`benchmarks/rcs_interval.py`,
-docs/coherent-checks.md).
+The three numbers were found on measured bodies, bodies of revolution and Mie's series (docs/coherent-checks.md).
 """
 
 from __future__ import annotations

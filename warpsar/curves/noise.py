@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
-from scipy.special import logsumexp
 
 from warpsar.curves.likelihood import log_density, slopes
 from warpsar.curves.observed import ObservedCurve
@@ -131,25 +130,3 @@ class _Loss:
                 share = noise.share if one.share is None else one.share
                 slope[-1] += one.weight @ ((to_model + share * to_noise) * turn)
         return -total, -slope
-
-
-def of_repeats(first_m2: NDArray[np.float64], second_m2: NDArray[np.float64]) -> Noise:
-    """The noise that two measurements of the same body in the same directions (n,) tell.
-
-    The amplitude of each row is not known. It is integrated out, every one being as likely as any other.
-    """
-    pair = np.stack([first_m2, second_m2])[:, :, None]
-    middle = pair.mean(axis=0)
-    steps = np.linspace(-5.0, 5.0, 41)
-
-    def loss(x: NDArray[np.float64]) -> float:
-        noise = Noise(float(np.exp(x[0])), float(np.exp(x[1])))
-        width = np.sqrt(0.5 * (noise.background_m2 + noise.share * middle))
-        amplitude = np.maximum(np.sqrt(middle) + width * steps, 0.0)
-        signal = amplitude**2
-        together = log_density(pair, signal, noise.background_m2 + noise.share * signal).sum(axis=0)
-        return -float(np.sum(logsumexp(together, axis=1, b=np.gradient(amplitude, axis=1) + 1e-300)))
-
-    start = np.log([max(float(np.quantile(middle, 0.1)), 1e-30), 1e-3])
-    found = minimize(loss, start, method="Nelder-Mead", options={"maxiter": 400, "xatol": 1e-3, "fatol": 1e-3})
-    return Noise(*(float(np.exp(each)) for each in found.x))

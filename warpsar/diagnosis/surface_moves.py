@@ -11,6 +11,7 @@ from warpsar.diagnosis.found import Diagnosis
 from warpsar.diagnosis.models.refit import Fitted
 from warpsar.learning.identify import Identified, identify
 from warpsar.learning.profiles import with_profiles
+from warpsar.surface.surface import Kind
 
 SAME_SD = 2.0  # a parameter that moved by more of its standard deviations than this is said to have moved
 
@@ -43,21 +44,15 @@ def moved_parameters(diagnosis: Diagnosis) -> tuple[list[ParameterMove], Identif
     before, after = (identified(fitted) for fitted in (first, last))
     if last.problem.uniform:
         after = with_profiles(last.problem, last.x, after)
-    moves, at, place = [], 0, 0  # in x, and among what is identified
-    ends = _uniform_ends(last)
-    for block in first.problem.surface.blocks:
-        if block.learn and block.size > 1:
-            at += block.size
-        elif block.learn:
-            key = (block.material, block.kind.key)
-            if key in ends:  # else what an absent object was made of is gone
-                x_end, place_end = ends[key]
-                a, b = float(first.x[at]), float(last.x[x_end])
-                one, two = (float(block.kind.from_coordinate(x)) for x in (a, b))
-                sds = float(before.sd[place]), float(after.sd[place_end])
-                stated, source = block.kind.interval(after.interval_95(place_end, b)), after.interval_from(place_end)
-                moves.append(ParameterMove(block.material, block.kind.key, one, two, *sds, stated, source, b - a))
-            at, place = at + 1, place + 1
+    moves, ends = [], _uniform(last)
+    for of, (kind, x_first, place_first) in _uniform(first).items():
+        if of in ends:  # else what an absent object was made of is gone
+            _, x_last, place_last = ends[of]
+            a, b = float(first.x[x_first]), float(last.x[x_last])
+            one, two = (float(kind.from_coordinate(x)) for x in (a, b))
+            sds = float(before.sd[place_first]), float(after.sd[place_last])
+            stated, source = kind.interval(after.interval_95(place_last, b)), after.interval_from(place_last)
+            moves.append(ParameterMove(*of, one, two, *sds, stated, source, b - a))
     return moves, after
 
 
@@ -67,13 +62,14 @@ def identified(fitted: Fitted) -> Identified:
     return identify(problem, x) if problem.uniform else identify_beside(problem, x)
 
 
-def _uniform_ends(fitted: Fitted) -> dict[tuple[str, str], tuple[int, int]]:
-    """Of every uniform learned parameter, by material and key: its place in x, and among what is identified."""
+def _uniform(fitted: Fitted) -> dict[tuple[str, str], tuple[Kind, int, int]]:
+    """Of every uniform learned parameter, by material and key: its kind, its place in x, and among what is
+    identified."""
     found, at, place = {}, 0, 0
     for block in fitted.problem.surface.blocks:
         if block.learn and block.size > 1:
             at += block.size
         elif block.learn:
-            found[block.material, block.kind.key] = at, place
+            found[block.material, block.kind.key] = block.kind, at, place
             at, place = at + 1, place + 1
     return found

@@ -362,12 +362,6 @@ class FitProblem(SceneCoordinates):
             slope -= sum(slopes.get(view, 0.0) for view in views or slopes) / many
         return slope * float(c.declared.slope(at))
 
-    def set_to(self, x: np.ndarray) -> None:
-        """Give all views the parameters of x; nothing runs."""
-        nodes, tables = self._share(x), self.effect_tables(x)
-        for view in self.views:
-            self._set(view, nodes, tables)
-
     def loss_at(self, x: np.ndarray) -> float:
         """The loss at x with its penalties, as `gradient` gives it, at the cost of the images alone."""
         self._run_with_losses(x, gradient=False)

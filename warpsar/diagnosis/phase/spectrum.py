@@ -8,7 +8,7 @@ ground has the same distribution under any phase: there the contrast says nothin
 
 What a window does to the spectrum is taken back in part. A phase turns the ends of the band most, and there a window
 leaves the least. Taken back whole, it would raise the sidelobes of bright points, which cover what is dark about them:
-the square root of the level is a fair mean (`benchmarks/phase_search.py --only level` compares).
+the square root of the level is a fair mean (docs/diagnosis-method.md compares).
 """
 
 from __future__ import annotations

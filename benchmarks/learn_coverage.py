@@ -1,7 +1,7 @@
 """How honest the intervals of `warpsar learn` are: one scene, many draws of the speckle, how often they hold the truth.
 
-    python benchmarks/coverage.py --out coverage.json [--write]
-    python benchmarks/coverage.py --repeats 30 --case hh_incidences
+    python benchmarks/learn_coverage.py --out coverage.json [--write]
+    python benchmarks/learn_coverage.py --repeats 30 --case hh_incidences
 
 A cube on a plane, both within the domain of small perturbation. Images are drawn with other rays than the fit's, and
 four times as many. Without --case all four rows of the table are made.
@@ -9,22 +9,15 @@ four times as many. Without --case all four rows of the table are made.
 
 from __future__ import annotations
 
-import argparse
 import sys
-import tempfile
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
 import tables
 
-from warpsar.io.images import write_tiff
 from warpsar.learning.command import LearnOptions, learn
 from warpsar.scene.scene import Scene
 from warpsar.simulation.command import simulate
@@ -96,14 +89,12 @@ ROWS = (  # case, loss, speckle
 )
 
 
-def with_speckle(start: Scene, clean: list[Any], draw: Callable[[tuple[int, ...]], np.ndarray], folder: Path) -> Scene:
+def with_speckle(start: Scene, clean: list[Any], draw: Callable[[tuple[int, ...]], np.ndarray]) -> Scene:
     """The scene with the clean images times one draw of speckle as its measured ones."""
     views = []
     for view, images in zip(start.views, clean, strict=True):
-        paths = {p: folder / f"{view.name}_{p}.tif" for p in images}
-        for polarization, image in images.items():
-            write_tiff(paths[polarization], image * draw(image.shape))
-        views.append(view.model_copy(update={"images": paths}))
+        seen = {channel: (image * draw(image.shape)).astype(np.float32) for channel, image in images.items()}
+        views.append(view.model_copy(update={"images": seen}))
     return replace(start, views=views)
 
 
@@ -123,18 +114,17 @@ def coverage(
     start = replace(truth, materials=materials(START))
     true = np.concatenate([[np.log(eps - 1), np.log(h), np.log(length)] for eps, h, length in TRUTH.values()])
     held, errors, deviations, iterations = [], [], [], []
-    with tempfile.TemporaryDirectory() as folder:
-        for repeat in range(repeats):
-            random = np.random.default_rng([seed, repeat])
-            drawn = with_speckle(start, clean, partial(speckle, random), Path(folder))
-            found = learn(drawn, device=device, options=LearnOptions(starts=1, loss=loss))
-            assert found.identified is not None
-            sd, error = found.identified.sd, found.x - true
-            usable = np.array(found.identified.summary()["identifiable"])
-            held.append(np.where(usable, np.abs(error) <= 1.96 * sd, np.nan))
-            errors.append(error)
-            deviations.append(sd)
-            iterations.append(len(found.history))
+    for repeat in range(repeats):
+        random = np.random.default_rng([seed, repeat])
+        drawn = with_speckle(start, clean, partial(speckle, random))
+        found = learn(drawn, device=device, options=LearnOptions(starts=1, loss=loss))
+        assert found.identified is not None
+        sd, error = found.identified.sd, found.x - true
+        usable = np.array(found.identified.summary()["identifiable"])
+        held.append(np.where(usable, np.abs(error) <= 1.96 * sd, np.nan))
+        errors.append(error)
+        deviations.append(sd)
+        iterations.append(len(found.history))
     table = np.array(held, float)
     return {
         "case": case,
@@ -172,20 +162,19 @@ def table(result: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = tables.parser(__doc__)
     parser.add_argument("--repeats", type=int, default=100)
     parser.add_argument("--case", choices=list(CASES), help="only this one, with --loss and --speckle")
     parser.add_argument("--loss", default="gamma")
     parser.add_argument("--speckle", choices=list(SPECKLE), default="white")
     parser.add_argument("--device")
-    tables.add_options(parser)
     options = parser.parse_args()
     if options.case and options.write:
         parser.error("--write is for the whole table: leave --case out")
     if options.source:
         result = tables.stored(options.source)
     else:
-        result = {"benchmark": "coverage", "made": tables.made(), "runs": []}
+        result = {"made": tables.made(), "runs": []}
         for case, loss, speckle in [(options.case, options.loss, options.speckle)] if options.case else ROWS:
             print(f"{case}, {loss}, {speckle}", file=sys.stderr)
             found = coverage(case, options.repeats, device=options.device, loss=loss, speckle=SPECKLE[speckle])

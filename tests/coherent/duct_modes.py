@@ -1,13 +1,12 @@
 """Bent ducts of rectangular cross-section by their exact modes, with Kirchhoff's integral at the mouth.
 
-The duct is a prism between two flat side walls. So its field is a sum over sin or cos across them. For each of these
-the bend is a problem in its plane, solved by the modes of each straight or curved piece, matched where pieces
-meet, without an approximation. The mouth takes of the plane wave, and sends back, what Kirchhoff's integral says.
+The duct is a prism between two flat side walls, and its bend is a problem in its plane, solved by the modes of each
+straight or curved piece, matched where pieces meet, without an approximation.
+The mouth takes of the plane wave, and sends back, what Kirchhoff's integral says.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,22 +38,6 @@ class Duct:
     """In the plane of the bend."""
     pieces: tuple[Piece, ...]
     """From the mouth to the short."""
-
-
-COBRA = Duct(
-    0.11,
-    0.084,
-    (
-        Piece(0.010),
-        Piece(math.radians(35.0), 0.186),
-        Piece(0.080),
-        Piece(math.radians(35.0), 0.186, down=False),
-        Piece(0.100),
-    ),
-)
-"""Of the STL: arcs fit its vertices to 6e-9 m."""
-COBRA_CORNER_M = (-0.12, 0.010)
-"""y and z of the mouth's corner."""
 
 
 def transverse(duct: Duct, electric: bool, count: int) -> tuple[Reals, Reals, Reals]:
@@ -101,31 +84,6 @@ def reflection(duct: Duct, electric: bool, kt2: float, count: int) -> tuple[Comp
         rho = way[:, None] * rho * way
         far = x, slopes
     return rho, -1j * gamma
-
-
-def across_bend(duct: Duct, phi: Reals, k: float, corner: tuple[float, float], electric: bool) -> Complexes:
-    """A [m] of the inside for directions at phi [rad] from +X across the plane of the bend; HH if `electric`, else VV.
-
-    E (HH) or H (VV) across the plane goes as cos or sin m pi y / w; the other transverse part of a mode follows from
-    it by beta k / kt2. So half of what either part of the plane wave asks for enters the mode.
-    """
-    sine, cosine, total = np.sin(phi), np.cos(phi), np.zeros(len(phi), complex)
-    count, w = int(k * duct.height_m / np.pi) + 12, duct.width_m
-    even = transverse(duct, electric, count)[1].mean(axis=1) * duct.height_m
-    y = (np.arange(20 * int(k * w) + 400) + 0.5) / (20 * int(k * w) + 400) * w
-    for m in range(0 if electric else 1, int(k * w / np.pi) + 1):
-        kt2 = k * k - (m * np.pi / w) ** 2
-        rho, beta = reflection(duct, electric, kt2, count)
-        some = np.flatnonzero(beta.real > 1e-9 * k)
-        b = beta[some].real
-        wave = np.cos(m * np.pi * y / w) if electric else np.sin(m * np.pi * y / w)
-        seen = (np.exp(1j * k * sine[:, None] * (y + corner[0])) * wave).mean(axis=1) * w
-        seen = seen[:, None] * even[some]
-        into = -0.5 * (cosine[:, None] + kt2 / (b * k)) * seen / (w if m == 0 else 0.5 * w)
-        out = into @ rho[np.ix_(some, some)].T
-        sent = (1.0 + cosine[:, None] * b * k / kt2) * seen
-        total += (1.0 if electric else -1.0) * -1j * k / (4.0 * np.pi) * (out * sent).sum(axis=1)
-    return total
 
 
 def in_bend(duct: Duct, phi: Reals, k: float, low_m: float) -> Complexes:
