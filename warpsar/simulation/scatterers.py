@@ -30,7 +30,8 @@ _FAINTEST = 1e-30  # m2, for a logarithm
 
 @dataclass(frozen=True)
 class Scatterers:
-    """Contributions to one view's image, the strongest first, shape (n,) each.
+    """Contributions to one view's image, the strongest first, shape (n,) each: one for each pixel, term and order of
+    faces.
 
     `term` is "surface" or the effect that adds the power. `faces` are numbers of the scene's triangles in the order of
     the bounces; empty where no face is known. `place_m`, (n, 3), is east, north, up; that of several bounces is where a
@@ -78,18 +79,30 @@ def strongest_of(render: ViewRender, reference_point_m: Sequence[float], count: 
     for (term, _), of in by_term.items():
         one = next(iter(of.values()))
         at = np.arange(one.bins.shape[0]) if one.sample is None else one.sample.numpy()
-        rcs = {name: area * _power(of[name]) if name in of else np.zeros(len(at)) for name in render.deposited}
-        kept = np.flatnonzero(_inside(render, one.points.numpy()[at]))
-        total = np.sum([power[kept] for power in rcs.values()], axis=0)
-        kept = kept[np.argsort(-total, kind="stable")[:count]]
-        place = one.points.numpy()[at[kept]].astype(float)
-        faces = np.stack([each.numpy()[at[kept]] for each in one.faces], axis=1) if one.faces else [()] * len(kept)
+        place = one.points.numpy()[at].astype(float)
+        inside = _inside(render, place)
+        at, place = at[inside], place[inside]
+        faces = np.column_stack([np.zeros((len(at), 0), int), *(each.numpy()[at] for each in one.faces)])
+        pixel = np.floor(_in_image(render, place) / render.spacing_m).astype(int)
+        keys, first, which = np.unique(np.column_stack([pixel, faces]), axis=0, return_index=True, return_inverse=True)
+        which = which.reshape(-1)
+        powers = {
+            name: area * _power(of[name])[inside] if name in of else np.zeros(len(at)) for name in render.deposited
+        }
+        rcs = {name: np.bincount(which, power, len(keys)) for name, power in powers.items()}
+        total = np.sum(list(powers.values()), axis=0)
+        sums = [np.bincount(which, total * axis, len(keys)) for axis in place.T]
+        whole = np.bincount(which, total, len(keys))
+        mean = np.where(
+            whole[:, None] > 0.0, np.stack(sums, axis=1) / np.maximum(whole, _FAINTEST)[:, None], place[first]
+        )
+        kept = np.argsort(-whole, kind="stable")[:count]
         parts.append(
             Scatterers(
                 (term,) * len(kept),
-                tuple(tuple(int(face) for face in row) for row in faces),
-                place + np.asarray(reference_point_m, float),
-                _in_image(render, place),
+                tuple(tuple(row) for row in keys[kept, 2:].tolist()),
+                mean[kept] + np.asarray(reference_point_m, float),
+                _in_image(render, mean[kept]),
                 {name: power[kept] for name, power in rcs.items()},
             )
         )

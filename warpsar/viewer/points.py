@@ -1,4 +1,4 @@
-"""Strong scatterers in the scene: a small octahedron at each place, coloured by its RCS."""
+"""Strong scatterers in the scene: an octahedron at each place, with size and colour by its RCS."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from warpsar.scene.scene import Scene
 from warpsar.viewer.surface import Drawn
 
 NAME = "scatterers"
-SIZE = 0.006
-"""From the middle of an octahedron to its corners, over the scene's size."""
+SMALLEST, LARGEST = 0.006, 0.03
+"""From the middle of an octahedron to its corners, over the scene's size: of a weak scatterer, and of the strongest."""
 WEAK_DB = 30.0
 """Under the strongest one: what is weaker, and the mesh, have the darkest colour."""
 CORNERS = np.concatenate([np.eye(3), -np.eye(3)])
@@ -27,13 +27,14 @@ def with_points(
     (n,)."""
     if not len(place_m):
         return surface
-    size = SIZE * float(np.ptp(scene.mesh.vertices, axis=0).max())
-    middle = place_m - np.asarray(scene.reference_point_m)
-    corners = (middle[:, None] + size * CORNERS).reshape(-1, 3)
-    first = len(surface.corners) + len(CORNERS) * np.arange(len(place_m))
-    triangles = (first[:, None, None] + TRIANGLES).reshape(-1, 3)
     strongest = max(float(levels.max()) for levels in levels_dbsm.values())
     dark = np.full(len(surface.corners), strongest - WEAK_DB)
+    share = np.clip(np.max(list(levels_dbsm.values()), axis=0) - strongest + WEAK_DB, 0.0, None) / WEAK_DB
+    size = (SMALLEST + (LARGEST - SMALLEST) * share) * float(np.ptp(scene.mesh.vertices, axis=0).max())
+    middle = place_m - np.asarray(scene.reference_point_m)
+    corners = (middle[:, None] + size[:, None, None] * CORNERS).reshape(-1, 3)
+    first = len(surface.corners) + len(CORNERS) * np.arange(len(place_m))
+    triangles = (first[:, None, None] + TRIANGLES).reshape(-1, 3)
     levels = {
         f"{NAME} {name} [dBsm]": np.concatenate([dark, np.repeat(np.maximum(each, dark[0]), len(CORNERS))])
         for name, each in levels_dbsm.items()
