@@ -33,9 +33,9 @@ from warpsar.simulation.formats import registry
 from warpsar.simulation.ground import MapGround
 from warpsar.simulation.outputs import make_folder, refuse_unlikely_size, write_json
 from warpsar.simulation.rays import effects_grid, hit_grid, trace_view, view_seed
-from warpsar.simulation.scatterers import Scatterers, strongest_of, together
 from warpsar.simulation.speckle import declare as declare_speckled
 from warpsar.simulation.speckle import refuse_declaring, responses
+from warpsar.simulation.strong_scatterers import StrongScatterers, strongest_of, together
 from warpsar.simulation.view import SimulatedView
 from warpsar.surface.stage import Stage
 from warpsar.trace.hits import DEFAULT_MEMORY_GIB, WHOLE, Hits, Strip
@@ -147,7 +147,7 @@ class Simulation:
 
     def _images(
         self, view: View, seed: int, again: bool = False
-    ) -> tuple[Hits | None, int, dict[str, np.ndarray], dict[str, np.ndarray], np.ndarray, Scatterers | None]:
+    ) -> tuple[Hits | None, int, dict[str, np.ndarray], dict[str, np.ndarray], np.ndarray, StrongScatterers | None]:
         """Hits, where they fit into memory, and their number; images; shares of them that effects tell apart; the
         pixels that single-bounce light reaches; the strongest scatterers. `again`: the view's findings are known."""
         effects = declared(self.scene, view)
@@ -171,7 +171,7 @@ class Simulation:
             count, beta0, lit, strongest = in_parts(banded, f"view {view.name}", PARTS[1:])
         return None, count, beta0, {}, lit, strongest
 
-    def _strongest(self, renders: Iterable[ViewRender]) -> Scatterers | None:
+    def _strongest(self, renders: Iterable[ViewRender]) -> StrongScatterers | None:
         """Of all the renders, each after a forward run."""
         if not self.scatterers:
             return None
@@ -192,7 +192,7 @@ class Simulation:
 
     def _in_bands(
         self, view: View, seed: int, effects: list[DeclaredEffect], again: bool, bands: int
-    ) -> tuple[int, dict[str, np.ndarray], np.ndarray, Scatterers | None]:
+    ) -> tuple[int, dict[str, np.ndarray], np.ndarray, StrongScatterers | None]:
         """Number of hits, images, their lit pixels, and scatterers, with the hits of one band at a time in memory."""
         count = 0
 

@@ -12,8 +12,8 @@ from warpsar.io.quick_look import QuickLook
 from warpsar.runtime.busy import busy
 from warpsar.simulation.formats import registry
 from warpsar.simulation.ground import MapGround
-from warpsar.simulation.scatterers import Scatterers, write_csv, write_ply
 from warpsar.simulation.speckle import SHARP, speckled, suffix
+from warpsar.simulation.strong_scatterers import StrongScatterers, write_csv, write_ply
 from warpsar.simulation.view import SimulatedView
 from warpsar.world.mesh import Mesh
 
@@ -68,7 +68,7 @@ class Output:
             said["looks"] = self.looks
         return said
 
-    def _scatterers(self, view: SimulatedView, found: Scatterers) -> dict[str, str]:
+    def _scatterers(self, view: SimulatedView, found: StrongScatterers) -> dict[str, str]:
         table, points = (f"{view.name}_scatterers.{kind}" for kind in ("csv", "ply"))
         assert self.mesh is not None
         write_csv(found, self.mesh, self.out / table)

@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpsar.errors import InputError
+from warpsar.simulation.strong_scatterers import StrongScatterers
 
 if TYPE_CHECKING:
     import xarray
-
-    from warpsar.simulation.scatterers import Scatterers
 
 LAYERS = {
     "incidence_deg": ("degree", "local angle of incidence, averaged over the lit area; NaN where nothing is lit"),
@@ -49,7 +48,7 @@ class SimulatedView:
     metadata: dict[str, Any] = field(default_factory=dict)
     looks: float | None = None
     covered: np.ndarray | None = None
-    scatterers: Scatterers | None = None
+    scatterers: StrongScatterers | None = None
 
     def __repr__(self) -> str:
         rows, cols = len(self.range_m), len(self.azimuth_m)

@@ -10,7 +10,7 @@ from warpsar.io.html import write
 from warpsar.runtime import console
 from warpsar.scene.scene import Scene
 from warpsar.simulation.outputs import make_folder
-from warpsar.simulation.scatterers import read_csv
+from warpsar.simulation.strong_scatterers import read_csv
 from warpsar.version import __version__
 from warpsar.viewer.drapes import drapes
 from warpsar.viewer.page import State, page

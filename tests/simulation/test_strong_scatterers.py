@@ -16,7 +16,7 @@ from warpsar.cli.main import main
 from warpsar.errors import InputError
 from warpsar.scene.scene import Scene
 from warpsar.simulation.command import simulate
-from warpsar.simulation.scatterers import Scatterers, read_csv, together, write_csv, write_ply
+from warpsar.simulation.strong_scatterers import StrongScatterers, read_csv, together, write_csv, write_ply
 
 METAL = {"eps_r": (1e6, -1e6), "rms_height_m": 1e-6, "correlation_length_m": 0.1}
 AXIS_DEG = float(np.rad2deg(np.arccos(1 / np.sqrt(3))))  # of a trihedral, at an azimuth of 45 degrees
@@ -59,9 +59,11 @@ def test_a_trihedral_stands_at_its_apex_with_its_level_and_its_three_faces() -> 
 
 
 def test_parts_are_put_together_by_strength() -> None:
-    def part(*levels: float) -> Scatterers:
+    def part(*levels: float) -> StrongScatterers:
         n = len(levels)
-        return Scatterers(("surface",) * n, ((1,),) * n, np.zeros((n, 3)), np.zeros((n, 2)), {"VV": np.array(levels)})
+        return StrongScatterers(
+            ("surface",) * n, ((1,),) * n, np.zeros((n, 3)), np.zeros((n, 2)), {"VV": np.array(levels)}
+        )
 
     found = together([part(3.0, 1.0), part(2.0)], 2)
     assert found.rcs_m2["VV"].tolist() == [3.0, 2.0]

@@ -29,7 +29,7 @@ _FAINTEST = 1e-30  # m2, for a logarithm
 
 
 @dataclass(frozen=True)
-class Scatterers:
+class StrongScatterers:
     """Contributions to one view's image, the strongest first, shape (n,) each: one for each pixel, term and order of
     faces.
 
@@ -53,11 +53,11 @@ class Scatterers:
         """Number of faces; 1 where none is known."""
         return np.array([max(len(one), 1) for one in self.faces], np.int64)
 
-    def strongest(self, count: int) -> Scatterers:
+    def strongest(self, count: int) -> StrongScatterers:
         """The first `count` by the sum of all polarizations."""
         total = np.sum(list(self.rcs_m2.values()), axis=0)
         kept = np.argsort(-total, kind="stable")[:count]
-        return Scatterers(
+        return StrongScatterers(
             tuple(self.term[i] for i in kept),
             tuple(self.faces[i] for i in kept),
             self.place_m[kept],
@@ -66,7 +66,7 @@ class Scatterers:
         )
 
 
-def strongest_of(render: ViewRender, reference_point_m: Sequence[float], count: int) -> Scatterers:
+def strongest_of(render: ViewRender, reference_point_m: Sequence[float], count: int) -> StrongScatterers:
     """The `count` strongest contributions to a render's image after a forward run."""
     area = float(np.prod(render.spacing_m))
     by_term: dict[tuple[str, int], dict[str, Deposited]] = {}
@@ -98,7 +98,7 @@ def strongest_of(render: ViewRender, reference_point_m: Sequence[float], count: 
         )
         kept = np.argsort(-whole, kind="stable")[:count]
         parts.append(
-            Scatterers(
+            StrongScatterers(
                 (term,) * len(kept),
                 tuple(tuple(row) for row in keys[kept, 2:].tolist()),
                 mean[kept] + np.asarray(reference_point_m, float),
@@ -109,9 +109,9 @@ def strongest_of(render: ViewRender, reference_point_m: Sequence[float], count: 
     return together(parts, count)
 
 
-def together(parts: Sequence[Scatterers], count: int) -> Scatterers:
+def together(parts: Sequence[StrongScatterers], count: int) -> StrongScatterers:
     """The `count` strongest of several lists."""
-    return Scatterers(
+    return StrongScatterers(
         tuple(chain.from_iterable(one.term for one in parts)),
         tuple(chain.from_iterable(one.faces for one in parts)),
         np.concatenate([one.place_m for one in parts]),
@@ -144,7 +144,7 @@ def _inside(render: ViewRender, points: NDArray[np.floating]) -> NDArray[np.bool
 # ---- files
 
 
-def write_csv(found: Scatterers, mesh: Mesh, path: Path) -> None:
+def write_csv(found: StrongScatterers, mesh: Mesh, path: Path) -> None:
     """A row for each scatterer. Faces and materials of a path are separated by spaces."""
     with replacing(path) as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:
         table = csv.writer(file)
@@ -157,7 +157,7 @@ def write_csv(found: Scatterers, mesh: Mesh, path: Path) -> None:
             table.writerow([*about, *(f"{number:.3f}" for number in numbers)])
 
 
-def write_ply(found: Scatterers, path: Path) -> None:
+def write_ply(found: StrongScatterers, path: Path) -> None:
     """Points for any 3-D program, with number of bounces and level."""
     levels = [RCS + name for name in found.rcs_m2]
     header = ["ply", "format ascii 1.0", "comment x east, y north, z up [m]", f"element vertex {len(found)}"]
