@@ -5,7 +5,8 @@ command: one scene's images and files. outputs: the JSON that every command writ
 batch: many images in one command. naming: their views and names.
 maker: one scene of a batch. index: what is there already.
 checks: what a user should be told. estimate: how long it will take.
-view: one view, simulated. strong_scatterers: what is bright in it, listed. speckle: speckle on images. ground: images on a map. dataset: views through xarray.
+view: one view, simulated. strong_scatterers: what is bright in it, listed. speckle: speckle on images.
+ground: images on a map. dataset: views through xarray.
 files: the files of a view. formats/: one file for each format. image_format: what a format declares.
 materials: `warpsar materials`.
 """
