@@ -38,7 +38,7 @@ from warpsar.world.tables import View
 FAR_DEG = 5.0
 """A view farther than this in azimuth from every train view is of an unseen sector."""
 SAME_DEG = 1.0  # of incidence: views that differ by less are reported together
-PICTURES = ("nearest", "mirrored", "mean")  # rivals that need no physics
+PICTURES = ("nearest", "smoothed", "mirrored", "mean")  # rivals that need no physics
 BOX = "box"  # a rival that needs no mesh
 THEN = "then"  # the model as it was when it met the box last
 SURE = 2.0  # standard errors by which a model must predict better than the best rival
