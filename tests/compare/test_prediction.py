@@ -150,6 +150,15 @@ def test_a_model_is_ahead_or_not_this_body() -> None:
     assert "not this body" in worse.words
 
 
+def test_a_picture_of_a_neighbour_refuses_no_body() -> None:
+    """It has the glints of the view itself. A picture of another sector has not."""
+    near = advantage([replace(image, in_sector=False) for image in predicted(0.80, 0.82)])
+    assert near is not None
+    assert not near.ahead
+    assert "between train views are predicted no better than by a picture" in near.words
+    assert "not this body" not in near.words
+
+
 @pytest.mark.parametrize(("narrower_px", "this"), [(0, True), (3, False)])
 def test_a_body_of_another_width_is_behind_a_picture_in_both_measures(narrower_px: int, this: bool) -> None:
     """Eight images of one look, and a picture of the same aspect with other speckle. That speckle costs the picture as
