@@ -9,8 +9,17 @@ import pytest
 from effect_worlds import street
 from scipy.ndimage import gaussian_filter
 
-from warpsar.compare.aim import EXPECTED, MeasuredImage, Reach, best_shift, deviances, own_shift, unaimed
-from warpsar.compare.prediction import Agreement, PredictedImage, advantage, in_sector, summaries
+from warpsar.compare.aim import (
+    EXPECTED,
+    SMOOTHED_PX,
+    MeasuredImage,
+    Reach,
+    best_shift,
+    deviances,
+    own_shift,
+    unaimed,
+)
+from warpsar.compare.prediction import SURE, Agreement, PredictedImage, advantage, compared, in_sector, summaries
 from warpsar.compare.rivals import Seen, rivals, turned
 from warpsar.world.tables import View
 
@@ -18,11 +27,12 @@ pytestmark = pytest.mark.unit
 REACH = Reach(9, 9)
 
 
-def truth() -> np.ndarray:
-    """A bright block with a shadow behind it, on even ground, (98, 98)."""
+def truth(narrower_px: int = 0) -> np.ndarray:
+    """A bright block with a shadow behind it, on even ground, (98, 98); narrower by so much on either side."""
     image = np.ones((98, 98))
-    image[40:51, 35:65] = 12.0
-    image[51:70, 35:65] = 0.05
+    across = slice(35 + narrower_px, 65 - narrower_px)
+    image[40:51, across] = 12.0
+    image[51:70, across] = 0.05
     return gaussian_filter(image, 0.7)
 
 
@@ -100,6 +110,7 @@ def test_rivals_are_the_nearest_views() -> None:
     found = rivals(asked, train, (0.2, 0.2))
     np.testing.assert_allclose(found["nearest"], turned(train[1], 38.0, (0.2, 0.2)))
     np.testing.assert_allclose(found["mirrored"], turned(train[2], 38.0, (0.2, 0.2), mirror=True))
+    np.testing.assert_allclose(found["smoothed"], gaussian_filter(found["nearest"], SMOOTHED_PX))
     assert np.median(found["mean"]) == pytest.approx(1.0, abs=0.4)
 
 
@@ -137,6 +148,33 @@ def test_a_model_is_ahead_or_not_this_body() -> None:
     assert worse is not None
     assert not worse.ahead, "a correlation alone does not do"
     assert "not this body" in worse.words
+
+
+def test_a_picture_of_a_neighbour_refuses_no_body() -> None:
+    """It has the glints of the view itself. A picture of another sector has not."""
+    near = advantage([replace(image, in_sector=False) for image in predicted(0.80, 0.82)])
+    assert near is not None
+    assert not near.ahead
+    assert "between train views are predicted no better than by a picture" in near.words
+    assert "not this body" not in near.words
+
+
+@pytest.mark.parametrize(("narrower_px", "this"), [(0, True), (3, False)])
+def test_a_body_of_another_width_is_behind_a_picture_in_both_measures(narrower_px: int, this: bool) -> None:
+    """Eight images of one look, and a picture of the same aspect with other speckle. That speckle costs the picture as
+    it is three times the deviance of speckle, so it would refuse no body by deviance."""
+    images = []
+    for seed in range(8):
+        seen, other = (Seen(name, 10.0, 73.0, speckled(seed=n)) for name, n in (("v", seed), ("t", 100 + seed)))
+        beside = compared(seen, {"model": truth(narrower_px)}, [other], (0.2, 0.2), REACH)
+        images.append(PredictedImage(view(f"v{seed}", 10.0), "HH", True, beside))
+    found, bare = advantage(images), advantage(images, rivals=("nearest",))
+    assert found is not None
+    assert bare is not None
+    assert bare.deviance > 2.0
+    assert found.ahead is this
+    assert (found.correlation < -SURE * found.error) is not this
+    assert (found.deviance < -SURE * found.deviance_error) is not this
 
 
 @pytest.mark.parametrize(("behind", "said"), [(0.05, True), (0.5, False)])

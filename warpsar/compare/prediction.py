@@ -38,7 +38,7 @@ from warpsar.world.tables import View
 FAR_DEG = 5.0
 """A view farther than this in azimuth from every train view is of an unseen sector."""
 SAME_DEG = 1.0  # of incidence: views that differ by less are reported together
-PICTURES = ("nearest", "mirrored", "mean")  # rivals that need no physics
+PICTURES = ("nearest", "smoothed", "mirrored", "mean")  # rivals that need no physics
 BOX = "box"  # a rival that needs no mesh
 THEN = "then"  # the model as it was when it met the box last
 SURE = 2.0  # standard errors by which a model must predict better than the best rival
@@ -230,10 +230,10 @@ class Advantage:
                 "that is not told"
             )
         rival = "by a box of its size" if self.rival == BOX else "by a picture of other measured images"
-        return (
-            f"not this body, or not its model: {self.images} test images {where} are predicted no better than {rival} "
-            f"({beside})"
-        )
+        said = f"{self.images} test images {where} are predicted no better than {rival} ({beside})"
+        if not self.sector:
+            return f"{said}: a neighbour has the glints of the view, so the body itself is not judged"
+        return f"not this body, or not its model: {said}"
 
 
 def advantage(

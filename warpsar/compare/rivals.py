@@ -1,6 +1,7 @@
 """Predictions of a view that need no physics: other measured images of the same target.
 
 They turn with it as pictures, about the image's middle. A model that does not predict better has explained nothing.
+A picture has speckle of its own, which no view shares and no model has. So one of the rivals is smoothed.
 """
 
 from __future__ import annotations
@@ -9,7 +10,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import affine_transform
+from scipy.ndimage import affine_transform, gaussian_filter
+
+from warpsar.compare.aim import SMOOTHED_PX
 
 
 @dataclass(frozen=True)
@@ -44,8 +47,9 @@ def turned(seen: Seen, azimuth_deg: float, spacing_m: tuple[float, float], *, mi
 
 
 def rivals(view: Seen, train: Sequence[Seen], spacing_m: tuple[float, float]) -> Mapping[str, np.ndarray]:
-    """`nearest`: the train image of the nearest azimuth. `mirrored`: that nearest to the mirrored azimuth, mirrored.
-    `mean`: of all train images, each with the median 1. Among images of one azimuth the nearest incidence decides."""
+    """`nearest`: the train image of the nearest azimuth. `smoothed`: the same without its speckle, as far as the
+    correlation smooths both images. `mirrored`: that nearest to the mirrored azimuth, mirrored. `mean`: of all train
+    images, each with the median 1. Among images of one azimuth the nearest incidence decides."""
 
     def far(one: Seen, azimuth_deg: float) -> tuple[float, float]:
         away = abs(turn_deg(azimuth_deg, one.azimuth_deg))
@@ -54,8 +58,10 @@ def rivals(view: Seen, train: Sequence[Seen], spacing_m: tuple[float, float]) ->
     near = min(train, key=lambda one: far(one, view.azimuth_deg))
     other = min(train, key=lambda one: far(one, -view.azimuth_deg))
     levels = [np.nan_to_num(one.power / np.nanmedian(one.power), nan=1.0) for one in train]
+    nearest = turned(near, view.azimuth_deg, spacing_m)
     return {
-        "nearest": turned(near, view.azimuth_deg, spacing_m),
+        "nearest": nearest,
+        "smoothed": gaussian_filter(nearest, SMOOTHED_PX),
         "mirrored": turned(other, view.azimuth_deg, spacing_m, mirror=True),
         "mean": np.mean(levels, axis=0),
     }

@@ -14,6 +14,7 @@ NAMES = {
     "box": "a box of its size, same effects",
     "then": "the model that met the box",
     "nearest": "nearest measured view, turned",
+    "smoothed": "the same, smoothed by 1.5 pixels",
     "mirrored": "nearest mirrored view, turned",
     "mean": "mean of the measured views",
     "mean_3x3": "the same, over 3 x 3 pixels",

@@ -116,10 +116,10 @@ def write_report(
 def _in_short(result: HeldOut) -> str:
     sentences = [
         "Every train view is predicted by a model that has not seen it, nor its neighbours. The rivals need no "
-        "physics: the nearest measured view turned as a picture, the one nearest to the mirrored azimuth, and the "
-        "mean of all. The box has the body's extents, and the better of two sets of effects: what was found for the "
-        "body, and what a search of its own found. All is fitted anew, sizes too. A body that predicts no better than "
-        "the box has told nothing of itself. Turned round, the body is fitted anew in the same way."
+        "physics: the nearest measured view turned as a picture, the same smoothed, the one nearest to the mirrored "
+        "azimuth, and the mean of all. The box has the body's extents, and the better of two sets of effects: what was "
+        "found for the body, and what a search of its own found. All is fitted anew, sizes too. A body that predicts "
+        "no better than the box has told nothing of itself. Turned round, the body is fitted anew in the same way."
     ]
     sentences += [f"The time was over; not asked: {one}." for one in result.not_asked]
     if result.box_held is not None:
