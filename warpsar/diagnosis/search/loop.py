@@ -29,7 +29,13 @@ from warpsar.diagnosis.search.outcome import confirmation_lines, score_text, tur
 from warpsar.diagnosis.search.record import SearchRecord
 from warpsar.diagnosis.turn.addition import TOO_LITTLE, add_the_best, of_lit_pixels
 from warpsar.diagnosis.turn.geometry_search import geometry_candidates, screened_bodies, worth_fits
-from warpsar.diagnosis.turn.geometry_trial import add_the_likeliest, on_its_ground, posed_anew, with_all_anew
+from warpsar.diagnosis.turn.geometry_trial import (
+    add_the_likeliest,
+    on_its_ground,
+    posed_anew,
+    with_all_anew,
+    with_edges,
+)
 from warpsar.diagnosis.turn.pruning import prune, resettled, trimmed, with_smaller
 from warpsar.diagnosis.turn.rivals import rivals_of
 from warpsar.diagnosis.turn.scoring import score_effects
@@ -164,8 +170,8 @@ class Search:
         plain, model = replace(self._setup, bound=0.0), self._base
         if model.problem.misfit.bound > 0:
             model = settle(plain, model, self.options.starts, self.options.seed)
-        scene, self._posed = posed_anew(plain, model, self.scene)
-        return model if self._posed is None else refit_as(plain, scene)
+        model, self._posed = with_edges(plain, model, self.scene)
+        return model
 
     def values(self, final: Fitted) -> dict[Section, dict[str, dict[str, Any]]]:
         """What became of bodies, angles and spacings that were changed, by what they are called, in the sections of

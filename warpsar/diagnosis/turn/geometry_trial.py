@@ -21,6 +21,7 @@ from warpsar.diagnosis.models.movable import bodies, standing
 from warpsar.diagnosis.models.refit import Fitted, narrowed_to, refit_as
 from warpsar.diagnosis.scores.score import minus_log_p
 from warpsar.diagnosis.turn.addition import TOO_LITTLE
+from warpsar.effects.registry import told_by_edges
 from warpsar.learning.geometry import still, with_free
 from warpsar.learning.pose_search import FoundPoses, find_poses
 from warpsar.scene.scene import Scene
@@ -125,8 +126,25 @@ def posed_anew(setup: FitSetup, fitted: Fitted, declared: Scene) -> tuple[Scene,
     changed angles and spacings, all of them, surface and effects fitted together; as it is, and None, where nothing
     was changed or stands there."""
     moving = coordinates(declared, fitted.scene)
-    if not moving:
-        return fitted.scene, None
+    return _on_all_pixels(setup, fitted, moving) if moving else (fitted.scene, None)
+
+
+def with_edges(setup: FitSetup, fitted: Fitted, declared: Scene) -> tuple[Fitted, FoundPoses | None]:
+    """The model where all pixels have it, edges among them: what was changed of its geometry, as `posed_anew`, and the
+    effects that edges tell; the surface then again on its own pixels. As it is, and None, where it has none of these.
+
+    A shift hardly changes pixels away from edges. There it is known to a part of a pixel, and every outline, which
+    tells a tenth of that, lies off by what is left.
+    """
+    moving, effects = coordinates(declared, fitted.scene), told_by_edges(fitted.scene.effects)
+    if not moving and not effects:
+        return fitted, None
+    scene, found = _on_all_pixels(setup, fitted, moving)
+    return refit_as(setup, scene, held=effects), found
+
+
+def _on_all_pixels(setup: FitSetup, fitted: Fitted, moving: Sequence[str]) -> tuple[Scene, FoundPoses]:
+    """The model's scene with these parameters of its geometry, surface and effects at their likeliest."""
     views = [view.view.name for view in fitted.problem.views]
     free = with_free(fitted.scene, moving)
     found = find_poses(
