@@ -41,7 +41,7 @@ def left_out(
                 seen.append(one)
                 gains.append(np.zeros((2, one.values.size)))
             continue
-        moved = ground.settled(alone(whole.scene), views=others, most=STEPS, flat=FLAT)
+        moved = ground.trials.settled(alone(whole.scene), views=others, most=STEPS, flat=FLAT)
         problem = ground.problem(moved.scene, views=[name])
         there = Standing(moved.scene, 0.0, problem, problem.x0)
         for (one, plain), (_, mu) in zip(before[name], _by_view(there)[name], strict=True):
