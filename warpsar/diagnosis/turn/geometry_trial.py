@@ -14,7 +14,7 @@ import numpy as np
 from warpsar.diagnosis.found import Candidate, Turn
 from warpsar.diagnosis.geometry.base.change import GeometryCandidate
 from warpsar.diagnosis.geometry.registry import changes, coordinates
-from warpsar.diagnosis.models.all_pixels import log_likelihood
+from warpsar.diagnosis.models.all_pixels import explained, log_likelihood
 from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.frozen import frozen
 from warpsar.diagnosis.models.movable import bodies, standing
@@ -25,6 +25,10 @@ from warpsar.effects.registry import told_by_edges
 from warpsar.learning.geometry import still, with_free
 from warpsar.learning.pose_search import FoundPoses, find_poses
 from warpsar.scene.scene import Scene
+
+LEAST = 0.25
+"""Of what is unlike speckle in the pixels that a change of geometry touches, the share that it explains if it is the
+cause, or one of a few that meet there."""
 
 
 def add_the_likeliest(
@@ -38,8 +42,9 @@ def add_the_likeliest(
     """Let each candidate of geometry contend with the effect that the turn has added, or with none.
 
     Fills in `turn.candidates`, and `turn.added` and `turn.fitted` where a change of geometry is the likeliest. A
-    number costs `price` of 2 ln L. Scores are -ln p of the gain (Wilks), for all bodies that could be tried
-    (Bonferroni). Returns the setup of the pixels that the added model was fitted on.
+    number costs `price` of 2 ln L. One that explains less than `LEAST` of what is unlike speckle where it changes
+    anything is not the cause of that, whatever it gains. Scores are -ln p of the gain (Wilks), for all bodies that
+    could be tried (Bonferroni). Returns the setup of the pixels that the added model was fitted on.
     """
     start = log_likelihood(setup, here)
     before = turn.added
@@ -64,15 +69,23 @@ def add_the_likeliest(
             table=dict(one.values),
         )
         turn.candidates.append(candidate)
-        if gain - one.size * price > best_worth:
+        there = explained(setup, here, fitted)
+        if there.share < LEAST:
+            candidate.refused = _stands_in(there.share)
+            candidate.again_at = start + there.before - (there.before - there.after) / LEAST
+        elif gain - one.size * price > best_worth:
             best_worth, best_setup = gain - one.size * price, narrowed
             turn.added, turn.fitted = one.name, fitted
     names = {one.name for one in found}
     for candidate in turn.candidates:
-        if candidate.effect != turn.added and candidate.effect in {*names, before}:
+        if candidate.effect != turn.added and candidate.effect in {*names, before} and not candidate.refused:
             worth = candidate.refit_gain is not None and candidate.refit_gain > (candidate.refit_size or 0) * price
             candidate.refused = f"{turn.added} is likelier" if worth and turn.added else TOO_LITTLE
     return best_setup
+
+
+def _stands_in(share: float) -> str:
+    return f"it explains {max(share, 0.0):.0%} of what is unlike speckle where it changes anything: it is not the cause"
 
 
 def with_all_anew(setup: FitSetup, turn: Turn, declared: Scene) -> FitSetup:
