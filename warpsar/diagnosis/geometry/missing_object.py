@@ -92,7 +92,7 @@ def proposed(
         if not any(_stands_at(one, place) for one in tried):
             tried += likeliest(trials, bare, place, cost)
     best = max(tried, key=lambda one: one.worth(cost), default=None)
-    if best is None:
+    if best is None or bare.loss - best.standing.loss <= cost:  # less than one number is worth
         return []
     whole = _with_all_else(ground, released(best.standing.scene, without.scene))
     size = best.numbers

@@ -31,7 +31,7 @@ from warpsar.world.tables import Material
 
 EPS_R = (2.0, 80.0)  # from dry sand to water
 CORRELATION = (0.3, 30.0)  # correlation length times wavenumber
-BY_PATHS = 0.1  # of a pixel's power, that paths may bring where single bounces alone are compared: about speckle
+BY_PATHS = 0.1  # of a pixel's power, that paths may bring where single bounces alone are compared
 
 
 @dataclass(frozen=True)

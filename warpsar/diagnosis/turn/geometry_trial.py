@@ -70,9 +70,10 @@ def add_the_likeliest(
         )
         turn.candidates.append(candidate)
         there = explained(setup, here, fitted)
-        if there.share < LEAST:
+        lacking = there.before - (there.before - there.after) / LEAST
+        if lacking > 0.0:
             candidate.refused = _stands_in(there.share)
-            candidate.again_at = start + there.before - (there.before - there.after) / LEAST
+            candidate.again_at = start + lacking
         elif gain - one.size * price > best_worth:
             best_worth, best_setup = gain - one.size * price, narrowed
             turn.added, turn.fitted = one.name, fitted
