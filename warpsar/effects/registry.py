@@ -207,7 +207,7 @@ def fitted_effects(effects: Mapping[str, Mapping[str, Any]]) -> list[str]:
     return [name for name, table in effects.items() if any(is_fitted(p.name, table) for p in get(name).parameters)]
 
 
-def told_by_edges(effects: Mapping[str, Mapping[str, Any]]) -> list[str]:
+def effects_at_edges(effects: Mapping[str, Mapping[str, Any]]) -> list[str]:
     """The effects of a scene that a fit moves and edges tell (`Effect.at_edges`)."""
     return [name for name in fitted_effects(effects) if get(name).at_edges]
 

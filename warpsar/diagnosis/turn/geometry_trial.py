@@ -21,7 +21,7 @@ from warpsar.diagnosis.models.movable import bodies, standing
 from warpsar.diagnosis.models.refit import Fitted, narrowed_to, refit_as
 from warpsar.diagnosis.scores.score import minus_log_p
 from warpsar.diagnosis.turn.addition import TOO_LITTLE
-from warpsar.effects.registry import told_by_edges
+from warpsar.effects.registry import effects_at_edges
 from warpsar.learning.geometry import still, with_free
 from warpsar.learning.pose_search import FoundPoses, find_poses
 from warpsar.scene.scene import Scene
@@ -150,7 +150,7 @@ def with_edges(setup: FitSetup, fitted: Fitted, declared: Scene) -> tuple[Fitted
     A shift hardly changes pixels away from edges. There it is known to a part of a pixel, and every outline, which
     tells a tenth of that, lies off by what is left.
     """
-    moving, effects = coordinates(declared, fitted.scene), told_by_edges(fitted.scene.effects)
+    moving, effects = coordinates(declared, fitted.scene), effects_at_edges(fitted.scene.effects)
     if not moving and not effects:
         return fitted, None
     scene, found = _on_all_pixels(setup, fitted, moving)
