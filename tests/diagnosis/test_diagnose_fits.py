@@ -23,12 +23,14 @@ from warpsar.diagnosis.scores.templates import with_effect
 from warpsar.diagnosis.search.confirmation import confirm
 from warpsar.diagnosis.turn import pruning
 from warpsar.diagnosis.turn.addition import TOO_LITTLE
+from warpsar.diagnosis.turn.geometry_trial import with_edges
 from warpsar.diagnosis.turn.pruning import prune, resettled, with_smaller
 from warpsar.diagnosis.turn.screening import GLANCE, Screening
 from warpsar.diagnosis.turn.shortlist import by_rank, surveyed
 from warpsar.effects.base.trial import Context
 from warpsar.effects.registry import get
 from warpsar.learning.optimise import FitState
+from warpsar.learning.results import learned_scene
 from warpsar.runtime import devices
 from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import Rays
@@ -542,6 +544,24 @@ def test_one_start_alone_follows_a_flat_valley(monkeypatch: pytest.MonkeyPatch) 
     x, loss, iterations = descend(problem, [np.full(1, float(k)) for k in range(len(losses))])
     assert steps == [40, 40, 12, 12, 12, 1]
     assert (x[0], loss, iterations) == (1.0, 90.0, sum(steps))
+
+
+def test_edges_tell_a_shift_and_a_blur(tmp_path: Path) -> None:
+    """The last fit has edges, too: what is left of all four numbers' errors is less than half of what it was. The model
+    that it gives has these numbers, and a surface on its own pixels again."""
+    truth = {"registration": SHIFT, "point_spread": BLUR}
+    setup, scene = bench_of(truth, tmp_path)
+    inside = refit_as(setup, replace(scene, effects=truth))
+    there, found = with_edges(setup, inside, scene)
+    assert found is not None
+    assert there.scene.effects == learned_scene(there.problem, there.x).effects == found.scene.effects
+
+    def off(fitted: Fitted) -> float:
+        keys = [(name, key) for name, table in truth.items() for key in table if key.endswith("_m")]
+        return float(np.linalg.norm([fitted.scene.effects[name][key] - truth[name][key] for name, key in keys]))
+
+    assert off(there) < 0.5 * off(inside)
+    assert there.log_likelihood > likelihood(setup, found.scene)
 
 
 def test_candidates_far_below_the_best_wait() -> None:

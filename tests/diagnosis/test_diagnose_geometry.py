@@ -1,9 +1,10 @@
 """Changes of geometry that `warpsar diagnose` names: an object elsewhere, one that is not there, and neither."""
 
 import json
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from warpsar.diagnosis.command import run
 from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Turn
 from warpsar.diagnosis.geometry import object_pose
 from warpsar.diagnosis.geometry.base.body import BodyScreening
-from warpsar.diagnosis.geometry.base.change import Hypothesis
+from warpsar.diagnosis.geometry.base.change import GeometryCandidate, Hypothesis
 from warpsar.diagnosis.geometry.registry import changes, content, coordinates, scene_with, without_change
 from warpsar.diagnosis.models.all_pixels import Exact, lit_shadows, log_likelihood
 from warpsar.diagnosis.models.change import composed, without_object
@@ -28,7 +29,7 @@ from warpsar.diagnosis.models.refit import BOUND, Fitted, refit_as
 from warpsar.diagnosis.result import diagnose
 from warpsar.diagnosis.search import loop as search
 from warpsar.diagnosis.turn.geometry_search import screening
-from warpsar.diagnosis.turn.geometry_trial import with_all_anew
+from warpsar.diagnosis.turn.geometry_trial import add_the_likeliest, with_all_anew
 from warpsar.differentiable.geometry import exact_images
 from warpsar.io import checkpoint
 from warpsar.learning.geometry import still
@@ -253,6 +254,52 @@ def test_what_was_moved_before_is_fitted_anew_beside_an_addition(tmp_path: Path)
     # one change alone was fitted with all else
     turn = Turn([], "object_pose hut", turn.spot, 0.0, 1.0, 1.0, fitted_of(declared)[1], fitted_of(aside)[1])
     assert with_all_anew(setup, turn, declared) is setup
+
+
+def test_what_explains_a_part_is_not_the_cause(moved: Scene) -> None:
+    """The hut a tenth of the way to where the images have it gains likelihood. All the way it explains what is wrong
+    where it changes anything; the tenth does not, and is not asked again before that much less is wrong."""
+    setup, here = fitted_of(moved)
+
+    def offered(share: float) -> Turn:
+        aside = {"position_m": tuple(share * one for one in MOVED["position_m"]), "heading_deg": share * 8.0}
+        there = composed(moved, here.scene, [Object(group="hut", **aside)], ())
+        turn = Turn([], None, Spot(0.0, 0, 0, 0, (1, 1)), 0.0, 1.0, 1.0, here, None)
+        add_the_likeliest(setup, turn, here, moved, [GeometryCandidate("object_pose", "hut", there, 0.0, 4)], 5.0)
+        return turn
+
+    (part,), (cause,) = (offered(share).candidates for share in (0.1, 1.0))
+    assert part.refit_gain is not None
+    assert part.refit_gain > 4 * 5.0
+    assert "of what is unlike speckle" in part.refused
+    assert part.again_at is not None
+    assert part.again_at > log_likelihood(setup, here)
+    assert (cause.refused, cause.again_at) == ("", None)
+    assert offered(1.0).added == "object_pose hut"
+    assert offered(0.1).added is None
+    asking = search.Search.__new__(search.Search)
+    asking.scene, asking._base, asking._held, asking._refused = moved, here, frozenset(), {}
+    asking._times = Counter({"object_size hut": search.CHANCES, "object_size cube": 1})
+    asking.turns = [offered(0.1)]
+    assert asking._closed(setup, here) == {"object_pose hut", "object_size hut"}
+    part.again_at = log_likelihood(setup, here) - 1.0
+    asking.turns[0].candidates[:] = [part]
+    assert asking._closed(setup, here) == {"object_size hut"}
+
+
+def test_rounds_in_which_nothing_new_holds_end_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What holds after each round: something new, the same, something new, and then nothing new in two."""
+    rounds = [["a"], ["a"], ["a", "b"], ["b"], ["a", "b"], ["c"]]
+    asking, done = search.Search.__new__(search.Search), list[str]()
+    asking._held, asking._base = frozenset(), cast(Fitted, None)
+    monkeypatch.setattr(search.Search, "_look_at_shadows", lambda _: None)
+    monkeypatch.setattr(search.Search, "_forward", lambda _: True)
+    monkeypatch.setattr(search.Search, "_confirmed", lambda _: done.append("round") or True)
+    monkeypatch.setattr(search.Search, "_added", lambda *_: rounds[len(done) - 1])
+    monkeypatch.setattr(search.Search, "_look_once_more", lambda _: done.append("look"))
+    monkeypatch.setattr(search.Search, "_resort", lambda _: done.append("resort"))
+    asking._search()
+    assert done == ["round"] * 5 + ["look", "resort"]
 
 
 def before_scene(problem: PosedProblem, x: np.ndarray, scene: Scene) -> Scene:

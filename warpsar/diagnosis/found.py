@@ -106,6 +106,7 @@ class Candidate:
     carried: Carried | None = None  # how much of its gain the surface carries from view to view
     signature: Signature | None = None  # what its own test says
     refused: str = ""  # why it was not added, where it was fitted or could not be
+    again_at: float | None = None  # log-likelihood of all usable pixels, below which it cannot explain enough
     note: str = ""
     table: dict[str, Any] | None = None  # the effect's table as its fit in the turn left it
 

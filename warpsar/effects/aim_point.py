@@ -37,6 +37,7 @@ class AimPoint(Effect):
 
     name = "aim_point"
     stage = "position"
+    at_edges = True
     acts_on = ("beta0", "slc", "phase-history")
     order = 20
     summary = "shifts that differ from view to view"

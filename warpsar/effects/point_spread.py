@@ -89,6 +89,7 @@ class PointSpread(Effect):
     order = 10
     affine = True
     in_image = True
+    at_edges = True
     summary = "finite resolution in range and azimuth"
     example: ClassVar[dict[str, Any]] = {"range_fwhm_m": 1.2, "azimuth_fwhm_m": 1.2, "window": "sinc"}
     rate_case: ClassVar[dict[str, Any]] = {"range_fwhm_m": 0.9, "azimuth_fwhm_m": 0.7, "window": "gaussian"}

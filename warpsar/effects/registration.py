@@ -38,6 +38,7 @@ class Registration(Effect):
 
     name = "registration"
     stage = "position"
+    at_edges = True
     acts_on = ("beta0", "slc", "phase-history")
     order = 10
     summary = "the scene lies shifted in the images"

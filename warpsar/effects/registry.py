@@ -207,6 +207,11 @@ def fitted_effects(effects: Mapping[str, Mapping[str, Any]]) -> list[str]:
     return [name for name, table in effects.items() if any(is_fitted(p.name, table) for p in get(name).parameters)]
 
 
+def effects_at_edges(effects: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """The effects of a scene that a fit moves and edges tell (`Effect.at_edges`)."""
+    return [name for name in fitted_effects(effects) if get(name).at_edges]
+
+
 def sets_all_positions(world: World) -> str | None:
     """The effect by which a fit shifts every train view by itself, so that images say nothing of places (`Effect.
     sets_positions`); None where a view that its table does not name holds them."""

@@ -13,7 +13,7 @@ import numpy as np
 import warp as wp
 
 from warpsar.compare.observation import Observation
-from warpsar.effects.registry import declared, response_of
+from warpsar.effects.registry import declared, effects_at_edges, response_of
 from warpsar.errors import InputError
 from warpsar.learning.device_values import DeviceValues
 from warpsar.learning.geometry import Geometry, freed, still
@@ -227,9 +227,10 @@ def search_poses(
 ) -> PoseSearch:
     """What `find_poses` begins with, and goes on from (`PoseSearch.finish`): a search on images blurred by `blurs_m`
     [m], one after the other. None: by `SEARCH_BLUR_M`, or by nothing where all is known to be near."""
-    if next(freed(scene), None) is None:
+    if next(freed(scene), None) is None and not effects_at_edges(scene.effects):
         raise InputError(
-            f"{scene.name}: found no object, view, [radar] or [image] with `learn`; at least one must state it"
+            f"{scene.name}: found no object, view, [radar] or [image] with `learn`, and no effect that edges tell; at "
+            f"least one must be there"
         )
     near = blurs_m is None and known_near(scene)
     if blurs_m is None:

@@ -83,14 +83,16 @@ def proposed(
     without = ground.settled(ground.scene)
     ground = replace(ground, scene=without.scene)
     cost = 0.5 * (price if price is not None else np.log(sum(s.looks * s.count for s in without.observations)))
+    trials = ground.trials
+    bare = without if trials is ground else trials.as_it_stands(trials.scene)
     looked, pays = Looked.at(ground.scene, _ratios(without)), WORTH_A_FIT * cost
     places_tried = _worth_a_fit(looked.best(LOOKED_AT), max(pays, least))
     tried: list[Tried] = []
     for place in places_tried:
         if not any(_stands_at(one, place) for one in tried):
-            tried += likeliest(ground, without, place, cost)
+            tried += likeliest(trials, bare, place, cost)
     best = max(tried, key=lambda one: one.worth(cost), default=None)
-    if best is None:
+    if best is None or bare.loss - best.standing.loss <= cost:  # less than one number is worth
         return []
     whole = _with_all_else(ground, released(best.standing.scene, without.scene))
     size = best.numbers
@@ -102,7 +104,7 @@ def proposed(
     console.say(f"missing object: views left out gain {confirmed.gain:.4g} +- {confirmed.error:.2g}")
     if not confirmed.passed:
         return []
-    values, words = _values_and_words(whole, best)
+    values, words = _values_and_words(trials.as_it_stands(whole.scene), best)
     words.append(f"views left out: log-likelihood up by {confirmed.gain:.4g} +- {confirmed.error:.2g}")
     return [GeometryCandidate(CHANGE.name, best.name, whole.scene, float(gain), size, values, words)]
 
@@ -136,13 +138,21 @@ def _ratios(standing: Standing) -> list[Ratios]:
 
 
 def _with_all_else(ground: TrialGround, scene: Scene) -> Standing:
-    """Surfaces and effects with the object at their best: in turns, since a step is cheap where no object moves."""
+    """Surfaces and effects with the object at their best: in turns, since a step is cheap where no object moves. Where
+    paths would be followed for each step, the object stands in the end where single bounces put it."""
     for _ in range(2):
-        placed = replace(scene, objects=(*scene.objects[:-1], scene.objects[-1].model_copy(update={"learn": ()})))
-        surfaces = ground.settled(placed).scene
+        surfaces = ground.settled(_placed(scene)).scene
         moving = alone(replace(surfaces, objects=scene.objects))
-        scene = released(ground.settled(moving, most=LAST_STEPS, flat=LAST_FLAT).scene, surfaces)
-    return ground.settled(scene, most=LAST_STEPS, flat=LAST_FLAT)
+        scene = released(ground.trials.settled(moving, most=LAST_STEPS, flat=LAST_FLAT).scene, surfaces)
+    if ground.trials is ground:
+        return ground.settled(scene, most=LAST_STEPS, flat=LAST_FLAT)
+    whole = ground.settled(_placed(scene))
+    return replace(whole, scene=replace(whole.scene, objects=scene.objects))
+
+
+def _placed(scene: Scene) -> Scene:
+    """The scene whose last object stands still."""
+    return replace(scene, objects=(*scene.objects[:-1], scene.objects[-1].model_copy(update={"learn": ()})))
 
 
 def _values_and_words(whole: Standing, best: Tried) -> tuple[dict[str, Any], list[str]]:

@@ -6,13 +6,14 @@ judged by half of what it says.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import minimum_filter, uniform_filter
 
 from warpsar.compare.observation import TRACE, Observation, usable_pixels
+from warpsar.diagnosis.models.explained import Compared, Explained
 from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.left_out import column_blocks
 from warpsar.diagnosis.models.movable import standing
@@ -33,20 +34,41 @@ def log_likelihood(setup: FitSetup, fitted: Fitted, blur_m: float = 0.0) -> floa
     The floor is a twentieth of the lit pixels' median. It stands in model and measurement alike, so it leaves the mean
     as it is, and pixels that measure 0 count. `blur_m`: full width at half maximum of a Gaussian that blurs both.
     """
+    total = 0.0
+    for seen, measured, mean, _ in _above_the_floor(setup, fitted, blur_m):
+        total -= float(bounded(loss_terms("gamma", measured, mean, seen.looks), BOUND).sum())
+    return float(once.decide(total))
+
+
+def explained(setup: FitSetup, before: Fitted, after: Fitted) -> Explained:
+    """How much of what is unlike speckle in a model another one explains, in the pixels in which they differ; on the
+    pixels of `log_likelihood`."""
+    first = list(_above_the_floor(setup, before))
+    both = zip(first, _above_the_floor(setup, after), strict=True)
+    found = Explained.of(
+        Compared(seen.looks, measured, one, other, 0.5 * seen.law.expected_deviance * lit**2)
+        for (seen, measured, one, lit), (_, _, other, _) in both
+    )
+    return Explained(float(once.decide(found.before)), float(once.decide(found.after)))
+
+
+def _above_the_floor(
+    setup: FitSetup, fitted: Fitted, blur_m: float = 0.0
+) -> Iterator[tuple[Observation, np.ndarray, np.ndarray, np.ndarray]]:
+    """Every image's usable pixels: measured and modelled power above the common floor, (n,) [beta0], and which share of
+    the modelled power is no floor, and so has speckle."""
     modelled = fitted.problem.modelled(fitted.x)
     gains = iter(fitted.problem.gains(modelled))
     level = FLOOR_SHARE * float(
         np.median([np.median(s.values) for found in setup.observations.values() for s in found])
     )
-    total = 0.0
     for view in fitted.problem.views:
         for seen in view.observations:
             image = float(next(gains)) * view.render.images[seen.polarization].numpy().reshape(seen.interior.shape)
             use = usable_pixels(fitted.scene, seen.view, seen.measured)
             both = (np.asarray(seen.measured, float), np.maximum(image.astype(float), 0.0))
             measured, mean = (blurred(fitted.scene.grid, each, blur_m)[use] + level for each in both)
-            total -= float(bounded(loss_terms("gamma", measured, mean, seen.looks), BOUND).sum())
-    return float(once.decide(total))
+            yield seen, measured, mean, 1.0 - level / mean
 
 
 def lit_shadows(fitted: Fitted, far: bool = False) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -194,11 +194,12 @@ def _fit(
     setup: FitSetup,
     problem: FitProblem,
     starts: Iterable[np.ndarray],
+    moving: np.ndarray | None = None,
     *,
     quick: bool = False,
     limit: float = -np.inf,
 ) -> Fitted:
-    return fitted_at(setup, problem, *descend(problem, starts, quick=quick, limit=limit))
+    return fitted_at(setup, problem, *descend(problem, starts, moving, quick=quick, limit=limit))
 
 
 def on_bounded_ground(setup: FitSetup, base: Fitted, declared: Scene) -> tuple[FitSetup, Fitted]:
@@ -253,12 +254,21 @@ def refit_without(setup: FitSetup, fitted: Fitted, name: str) -> Fitted:
     return refit_as(setup, replace(fitted.scene, effects=effects))
 
 
-def refit_as(setup: FitSetup, scene: Scene, declared: Scene | None = None, limit: float = -np.inf) -> Fitted:
+def refit_as(
+    setup: FitSetup,
+    scene: Scene,
+    declared: Scene | None = None,
+    limit: float = -np.inf,
+    held: Collection[str] = (),
+) -> Fitted:
     """The model that starts as the scene stands, fitted on from there; and from the surface that is `declared`. A fit
-    that does not reach the log-likelihood `limit` at its pace is given up (`onward`)."""
+    that does not reach the log-likelihood `limit` at its pace is given up (`onward`). `held`: effects that stay."""
     problem = setup.problem(scene)
     further = [] if declared is None else [_with_declared_surface(problem, problem.x0, declared)]
-    return _fit(setup, problem, [problem.x0, *further], quick=True, limit=limit)
+    moving = np.ones(problem.x0.size, bool) if held else None
+    if moving is not None:
+        moving[problem.of_effects] = [c.effect not in held for c in problem.effect_coordinates]
+    return _fit(setup, problem, [problem.x0, *further], moving, quick=True, limit=limit)
 
 
 def narrow(setup: FitSetup, other: FitSetup, fitted: Fitted) -> tuple[FitSetup, Fitted]:

@@ -87,9 +87,9 @@ def _first_box(ground: TrialGround, place: BodyPlace, name: str) -> Tried:
     blur_m = place.width_m / 2.0
     first, *turned = shapes.boxes(place, name)
     known = _materials(ground)
-    losses = [_as_it_stands(ground, _with(ground, first, each), blur_m).loss for each in known]
+    losses = [ground.as_it_stands(_with(ground, first, each), blur_m).loss for each in known]
     material = known[int(np.argmin(losses))]
-    starts = [(shape, _as_it_stands(ground, _with(ground, shape, material), blur_m)) for shape in (first, *turned)]
+    starts = [(shape, ground.as_it_stands(_with(ground, shape, material), blur_m)) for shape in (first, *turned)]
     shape, start = min(starts, key=lambda one: one[1].loss)
     blurred = _quick(ground, start.scene, QUICK_STEPS, blur_m)
     scene = _tidied(ground, blurred.scene)
@@ -109,13 +109,13 @@ def _again(ground: TrialGround, tried: Tried) -> Tried:
 
 def _quick(ground: TrialGround, scene: Scene, steps: int, blur_m: float = 0.0) -> Standing:
     """The scene as a descent leaves it that only compares bodies."""
-    return ground.settled(scene, blur_m, most=steps, flat=QUICK_FLAT, rough=True)
+    return ground.settled(scene, blur_m, most=steps, flat=QUICK_FLAT)
 
 
 def _rounded(ground: TrialGround, tried: Tried) -> list[Tried]:
     """A cylinder on a circle in the place of one on an ellipse."""
     shape = shapes.round_one(TrialBody(tried.standing.scene.objects[-1], tried.shape.numbers, tried.shape.learn))
-    return [] if shape is None else [Tried(shape, _as_it_stands(ground, _with(ground, shape, _own(tried))))]
+    return [] if shape is None else [Tried(shape, ground.as_it_stands(_with(ground, shape, _own(tried))))]
 
 
 def _of_known_materials(ground: TrialGround, tried: Tried) -> list[Tried]:
@@ -124,14 +124,9 @@ def _of_known_materials(ground: TrialGround, tried: Tried) -> list[Tried]:
     for name in (name for name, one in ground.scene.materials.items() if not one.fields):
         table = tried.standing.scene.objects[-1].model_copy(update={"material": name})
         scene = alone(ground.holding(table))
-        bodies.append(Tried(tried.shape, _as_it_stands(ground, scene)))
+        bodies.append(Tried(tried.shape, ground.as_it_stands(scene)))
     best = min(bodies, key=lambda one: one.standing.loss, default=None)
     return [] if best is None else [_again(ground, best)]
-
-
-def _as_it_stands(ground: TrialGround, scene: Scene, blur_m: float = 0.0) -> Standing:
-    problem = ground.problem(scene, blur_m, rough=True)
-    return Standing(scene, problem.value(problem.x0), problem, problem.x0)
 
 
 def _with(ground: TrialGround, shape: TrialBody, material: Material) -> Scene:

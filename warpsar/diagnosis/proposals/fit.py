@@ -1,18 +1,22 @@
 """An object on trial: how well the images are explained with it, and where it then stands.
 
-All usable pixels count, above a floor that model and measurement share (`learning.pose_pixels`).
+All usable pixels count, above a floor that model and measurement share (`learning.pose_pixels`). Beside paths over
+several surfaces bodies are tried on single bounces (`TrialGround.trials`): paths would be followed anew for
+each number of each shape.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 import warp as wp
 
 from warpsar.compare.observation import Observation
 from warpsar.diagnosis.models.movable import standing
+from warpsar.diagnosis.models.refit import BOUND
 from warpsar.learning.pose import FLAT, MOST_STEPS, PosedProblem, descend, without_paths
 from warpsar.learning.pose_pixels import PosePixels, compared
 from warpsar.learning.problem import FitProblem
@@ -27,6 +31,7 @@ from warpsar.world.tables import Material
 
 EPS_R = (2.0, 80.0)  # from dry sand to water
 CORRELATION = (0.3, 30.0)  # correlation length times wavenumber
+BY_PATHS = 0.1  # of a pixel's power, that paths may bring where single bounces alone are compared
 
 
 @dataclass(frozen=True)
@@ -58,6 +63,8 @@ class TrialGround:
     pixels: Mapping[str, Sequence[Observation]]
     gains: Mapping[tuple[str, str], float]
     loss: str
+    bound: float = 0.0  # of the loss, as in `FitProblem`
+    followed: Scene | None = None  # the scene with its paths, where this ground is one of single bounces
     _compared: dict[float, PosePixels] = field(default_factory=dict)
 
     @classmethod
@@ -78,21 +85,44 @@ class TrialGround:
 
     def compared(self, blur_m: float) -> PosePixels:
         if blur_m not in self._compared:
-            self._compared[blur_m] = compared(self.scene, self.pixels, blur_m, self.gains)
+            found = compared(self.scene, self.pixels, blur_m, self.gains)
+            self._compared[blur_m] = found if self.followed is None else self._off_paths(found, self.followed, blur_m)
         return self._compared[blur_m]
+
+    @cached_property
+    def trials(self) -> TrialGround:
+        """The ground on which bodies are tried: this one, or single bounces alone where it follows paths.
+
+        Then pixels to which paths bring a part of the power are left out. Those to which paths over the body bring more
+        cannot be known before the body is: a pixel costs `BOUND` at most, so that none drags it anywhere. A body has
+        tens of pixels of paths, and hundreds of its own light and shadow, which place it to a few centimetres.
+        """
+        single = without_paths(self.scene)
+        if single is self.scene:
+            return self
+        return TrialGround(single, self.device, self.pixels, self.gains, self.loss, BOUND, self.scene)
+
+    def _off_paths(self, found: PosePixels, followed: Scene, blur_m: float) -> PosePixels:
+        """The pixels without those to which paths bring more than `BY_PATHS`."""
+        whole = compared(followed, self.pixels, blur_m, self.gains)
+        problems = [PosedProblem(one.scene, self.device, found.observations, loss=self.loss) for one in (whole, found)]
+        every, direct = (one.modelled(one.x0) for one in problems)
+        observations: dict[str, list[Observation]] = {}
+        for seen, mu, single in zip(problems[0].standing(np.zeros(0)).observations, every, direct, strict=True):
+            own = seen.interior.copy()
+            own[seen.interior] = mu - single <= BY_PATHS * mu
+            observations.setdefault(seen.view.name, []).append(replace(seen, interior=own))
+        return replace(found, observations=observations)
 
     def holding(self, one: Object, material: Material | None = None) -> Scene:
         """The scene and an object; `material` is the object's own, under the object's name."""
         more = {} if material is None or one.material is None else {one.material: material}
         return with_objects(self.scene, [*self.scene.objects, one], more)
 
-    def problem(
-        self, scene: Scene, blur_m: float = 0.0, views: Sequence[str] | None = None, *, rough: bool = False
-    ) -> PosedProblem:
-        """The problem of a scene with an object on trial, which stays on the ground unless it is a point. `rough`:
-        beside paths over several surfaces, changes are those of single bounces, as `PosedProblem` has it; they would be
-        followed anew for each number of each shape."""
+    def problem(self, scene: Scene, blur_m: float = 0.0, views: Sequence[str] | None = None) -> PosedProblem:
+        """The problem of a scene with an object on trial, which stays on the ground unless it is a point."""
         both = self.compared(blur_m)
+        scene = scene if self.followed is None else without_paths(scene)
         seen = {name: found for name, found in both.observations.items() if views is None or name in views}
         effects = dict(both.scene.effects)
         for name, table in scene.effects.items():  # as far as a fit has come with them
@@ -104,7 +134,7 @@ class TrialGround:
             loss=self.loss,
             level=both.level,
             standing=standing(scene),
-            rough=rough and without_paths(scene) is not scene,
+            bound=self.bound,
         )
         low, high = problem.bounds
         for label, least, largest in _usual(scene):
@@ -121,15 +151,19 @@ class TrialGround:
         views: Sequence[str] | None = None,
         most: int = MOST_STEPS,
         flat: float = FLAT,
-        rough: bool = False,
     ) -> Standing:
-        """The scene at its best, from where it stands; as `descend`."""
-        problem = self.problem(scene, blur_m, views, rough=rough)
+        """The scene at its best, from where it stands; as `descend`. Effects that trials lack stay as they are."""
+        problem = self.problem(scene, blur_m, views)
         end = descend(problem, problem.x0, most=most, flat=flat)
         inner, rest = problem.split(end.x)
         found = learned_scene(inner, rest)
-        effects = {name: table if blur_m else found.effects[name] for name, table in scene.effects.items()}
+        effects = {name: table if blur_m else found.effects.get(name, table) for name, table in scene.effects.items()}
         return Standing(replace(found, effects=effects), end.loss, problem, end.x)
+
+    def as_it_stands(self, scene: Scene, blur_m: float = 0.0) -> Standing:
+        """The scene as it is."""
+        problem = self.problem(scene, blur_m)
+        return Standing(scene, problem.value(problem.x0), problem, problem.x0)
 
 
 def _usual(scene: Scene) -> list[tuple[str, float, float]]:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from warpsar.compare.observation import Observation
+from warpsar.diagnosis.models.explained import Compared, Explained
 from warpsar.diagnosis.models.left_out import ViewsLeftOut, clipped
 from warpsar.diagnosis.proposals.fit import Standing, TrialGround, alone
 from warpsar.diagnosis.proposals.places import BodyPlace
@@ -15,7 +16,6 @@ from warpsar.scene.scene import Scene
 from warpsar.speckle.likelihood import loss_terms
 from warpsar.speckle.residual import residual_autocovariance
 
-TOUCHED = 0.1  # change of ln power, from which an object touches a pixel
 STEPS, FLAT = 4, 1.0  # of the fit without a view: it begins where all views have the object
 
 
@@ -41,7 +41,7 @@ def left_out(
                 seen.append(one)
                 gains.append(np.zeros((2, one.values.size)))
             continue
-        moved = ground.settled(alone(whole.scene), views=others, most=STEPS, flat=FLAT)
+        moved = ground.trials.settled(alone(whole.scene), views=others, most=STEPS, flat=FLAT)
         problem = ground.problem(moved.scene, views=[name])
         there = Standing(moved.scene, 0.0, problem, problem.x0)
         for (one, plain), (_, mu) in zip(before[name], _by_view(there)[name], strict=True):
@@ -69,19 +69,11 @@ def _covers(scene: Scene, places: list[BodyPlace]) -> bool:
 
 
 def explained(without: Standing, whole: Standing) -> float:
-    """How much of what was unlike speckle the object explains, in the pixels that it touches: 1 for all of it.
-
-    Each pixel counts by its loss less that of pure speckle, and by 20 at most.
-    """
-    before = after = 0.0
+    """How much of what was unlike speckle the object explains, in the pixels that it touches: 1 for all of it."""
     pairs = zip(without.observations, without.modelled(), whole.modelled(), strict=True)
-    for seen, plain, mu in pairs:
-        touched = np.abs(np.log(mu / plain)) > TOUCHED
-        speckle = 0.5 * seen.law.expected_deviance
-        losses = (loss_terms("gamma", seen.values[touched], each[touched], seen.looks) for each in (plain, mu))
-        lost, left = (float((clipped(each) - speckle).sum()) for each in losses)
-        before, after = before + lost, after + left
-    return 1.0 - after / before if before > 0 else 0.0
+    return Explained.of(
+        Compared(seen.looks, seen.values, plain, mu, 0.5 * seen.law.expected_deviance) for seen, plain, mu in pairs
+    ).share
 
 
 def _by_view(standing: Standing) -> dict[str, list[tuple[Observation, np.ndarray]]]:

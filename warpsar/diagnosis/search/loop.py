@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Collection, Hashable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -29,7 +29,13 @@ from warpsar.diagnosis.search.outcome import confirmation_lines, score_text, tur
 from warpsar.diagnosis.search.record import SearchRecord
 from warpsar.diagnosis.turn.addition import TOO_LITTLE, add_the_best, of_lit_pixels
 from warpsar.diagnosis.turn.geometry_search import geometry_candidates, screened_bodies, worth_fits
-from warpsar.diagnosis.turn.geometry_trial import add_the_likeliest, on_its_ground, posed_anew, with_all_anew
+from warpsar.diagnosis.turn.geometry_trial import (
+    add_the_likeliest,
+    on_its_ground,
+    posed_anew,
+    with_all_anew,
+    with_edges,
+)
 from warpsar.diagnosis.turn.pruning import prune, resettled, trimmed, with_smaller
 from warpsar.diagnosis.turn.rivals import rivals_of
 from warpsar.diagnosis.turn.scoring import score_effects
@@ -51,7 +57,9 @@ FAR_AHEAD = 0.8
 NEAR_BEST = 0.5  # of the best score (-ln p), or of what is foretold, from which on an effect is one of those few
 FAR_BELOW = 0.04  # of what geometry is foretold to gain: an effect that scores less (2 ln L) is none of them
 SENSOR_BEHIND = 0.5  # of what the best body is foretold: angles and spacings below it are not fitted
-CHANCES = 2  # how often one effect may be added: what is taken back may hold once something else was found
+CHANCES = 2
+"""How often one effect may be added: what is taken back may hold once something else was found. And after how many
+rounds of additions, in which nothing new held, the search ends: the likeliest hypotheses were asked first."""
 
 
 class Search:
@@ -81,6 +89,7 @@ class Search:
         self._declared, self._record, self._progress = declared, record, progress
         self._base = declared
         self._refused: dict[frozenset[str], set[str]] = {}  # what was taken back, by what the model had left then
+        self._held: frozenset[str] = frozenset()  # what held beside all others when that was asked last
         self._times: Counter[str] = Counter()  # that an effect was added
         self._lost: set[Hashable] = set()  # models with other settings (`resettled`)
         self._stage = 0
@@ -98,16 +107,26 @@ class Search:
 
     def _search(self) -> None:
         self._look_at_shadows()
-        while self._forward():
+        fruitless, known = 0, set[str]()
+        while fruitless < CHANCES and self._forward():
             if not self._confirmed():
                 break
+            self._held = frozenset(self._added(self._base))
+            fruitless = fruitless + 1 if self._held <= known else 0
+            known |= self._held
+        if fruitless == CHANCES:
+            self._look_once_more()
         self._doing = "a law of backscatter that is learned from the images"
         self._resort()
+
+    def _look_once_more(self, scores: Turn | None = None) -> None:
+        """End with a turn of which nothing is asked but what is left: with `scores`, or the model's now."""
+        self.turns.append(replace(scores or self._scored()[0], added=None, fitted=None, dropped=[]))
 
     def _ended_early(self) -> None:
         """Say what was not asked. A run whose first scores did not come gets them now: nothing can be said without."""
         if not self.turns:
-            self.turns.append(replace(self._scores or self._scored()[0], added=None, fitted=None, dropped=[]))
+            self._look_once_more(self._scores)
         last = self.turns[-1]
         waiting = [
             c.effect
@@ -164,8 +183,8 @@ class Search:
         plain, model = replace(self._setup, bound=0.0), self._base
         if model.problem.misfit.bound > 0:
             model = settle(plain, model, self.options.starts, self.options.seed)
-        scene, self._posed = posed_anew(plain, model, self.scene)
-        return model if self._posed is None else refit_as(plain, scene)
+        model, self._posed = with_edges(plain, model, self.scene)
+        return model
 
     def values(self, final: Fitted) -> dict[Section, dict[str, dict[str, Any]]]:
         """What became of bodies, angles and spacings that were changed, by what they are called, in the sections of
@@ -194,8 +213,19 @@ class Search:
 
     @property
     def _barred(self) -> set[str]:
-        """What was taken back from the very model that the search is at: it has another chance beside something new."""
-        return self._refused.get(frozenset(self._added(self._base)), set())
+        """What was taken back from the very model that the search is at, or from what held last: it has another chance
+        beside something new that holds."""
+        models = frozenset(self._added(self._base)), self._held
+        return {name for model in models for name in self._refused.get(model, ())}
+
+    def _closed(self, setup: FitSetup, here: Fitted) -> set[str]:
+        """Changes of geometry that are not asked beside the model `here`: those that were taken back or tried often
+        enough, and those that explained too little of what was wrong (`LEAST`), while so much of that is left that they
+        would again."""
+        level = log_likelihood(setup, here)
+        again = {c.effect: c.again_at for turn in self.turns for c in turn.candidates}
+        waiting = {name for name, least in again.items() if least is not None and level < least}
+        return self._barred | waiting | {name for name, times in self._times.items() if times >= CHANCES}
 
     def _added(self, fitted: Fitted) -> list[str]:
         """Effects of a model that the scene does not declare, and changes of its geometry."""
@@ -248,6 +278,8 @@ class Search:
             alarm = alarm or bool(once.decide(float(geometry and self._judged_wrong())))
             sensor, shifts = screened_sensor(self.scene, setup, here) if geometry else ([], 0.0)
             bodies = screened_bodies(self.scene, setup, here, alarm=alarm) if geometry else []
+            closed = self._closed(setup, here) if geometry else set()
+            sensor, bodies = ([one for one in some if one.name not in closed] for some in (sensor, bodies))
             if not alarm and not _promising([*sensor, *bodies], evidence.area, turn.threshold):
                 sensor, bodies, geometry = [], [], geometry and self._has_moved
             foretold = max([0.0, *(one.foretold for one in [*sensor, *bodies])])
@@ -262,7 +294,7 @@ class Search:
                     found = refits(setup, here, self.scene, some, templates, dark, most)
                     add_the_best(setup, turn, here, found, dark, price, compared)
             if geometry:
-                setup = self._with_geometry(setup, turn, here, sensor, bodies, price)
+                setup = self._with_geometry(setup, turn, here, sensor, bodies, price, closed)
                 setup = with_all_anew(setup, turn, self.scene)
             if turn.fitted is not None:
                 prune(setup, turn, self._effects(here), price)
@@ -301,9 +333,10 @@ class Search:
         sensor: Sequence[Hypothesis],
         bodies: list[Hypothesis],
         price: float,
+        closed: Collection[str],
     ) -> FitSetup:
-        """Let angles, spacings and bodies contend with the effect that the turn has added, or with none. Returns the
-        setup of what is added then.
+        """Let angles, spacings and bodies that are not `closed` contend with the effect that the turn has added, or
+        with none. Returns the setup of what is added then.
 
         What is behind the effect waits. Nothing is lost by that: the next turn tries it beside the effect, and in the
         end each is asked beside all the others. A wrong angle seems to move bodies, and a moved body to turn views: so
@@ -321,7 +354,7 @@ class Search:
             ahead = replace(ahead, blurred=max(ahead.blurred, of_sensor))
         self._say_fits([one.name for one in worth_fits(bodies, price, ahead)])
         offered += geometry_candidates(self.scene, setup, here, bodies, price, ahead, offered)
-        offered = [c for c in offered if c.name not in self._barred and self._times[c.name] < CHANCES]
+        offered = [c for c in offered if c.name not in closed]
         return add_the_likeliest(setup, turn, here, self.scene, offered, price)
 
     def _say_fits(self, names: Sequence[str]) -> None:

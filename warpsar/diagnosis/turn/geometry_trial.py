@@ -14,16 +14,21 @@ import numpy as np
 from warpsar.diagnosis.found import Candidate, Turn
 from warpsar.diagnosis.geometry.base.change import GeometryCandidate
 from warpsar.diagnosis.geometry.registry import changes, coordinates
-from warpsar.diagnosis.models.all_pixels import log_likelihood
+from warpsar.diagnosis.models.all_pixels import explained, log_likelihood
 from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.frozen import frozen
 from warpsar.diagnosis.models.movable import bodies, standing
 from warpsar.diagnosis.models.refit import Fitted, narrowed_to, refit_as
 from warpsar.diagnosis.scores.score import minus_log_p
 from warpsar.diagnosis.turn.addition import TOO_LITTLE
+from warpsar.effects.registry import effects_at_edges
 from warpsar.learning.geometry import still, with_free
 from warpsar.learning.pose_search import FoundPoses, find_poses
 from warpsar.scene.scene import Scene
+
+LEAST = 0.25
+"""Of what is unlike speckle in the pixels that a change of geometry touches, the share that it explains if it is the
+cause, or one of a few that meet there."""
 
 
 def add_the_likeliest(
@@ -37,8 +42,9 @@ def add_the_likeliest(
     """Let each candidate of geometry contend with the effect that the turn has added, or with none.
 
     Fills in `turn.candidates`, and `turn.added` and `turn.fitted` where a change of geometry is the likeliest. A
-    number costs `price` of 2 ln L. Scores are -ln p of the gain (Wilks), for all bodies that could be tried
-    (Bonferroni). Returns the setup of the pixels that the added model was fitted on.
+    number costs `price` of 2 ln L. One that explains less than `LEAST` of what is unlike speckle where it changes
+    anything is not the cause of that, whatever it gains. Scores are -ln p of the gain (Wilks), for all bodies that
+    could be tried (Bonferroni). Returns the setup of the pixels that the added model was fitted on.
     """
     start = log_likelihood(setup, here)
     before = turn.added
@@ -63,15 +69,24 @@ def add_the_likeliest(
             table=dict(one.values),
         )
         turn.candidates.append(candidate)
-        if gain - one.size * price > best_worth:
+        there = explained(setup, here, fitted)
+        lacking = there.before - (there.before - there.after) / LEAST
+        if lacking > 0.0:
+            candidate.refused = _stands_in(there.share)
+            candidate.again_at = start + lacking
+        elif gain - one.size * price > best_worth:
             best_worth, best_setup = gain - one.size * price, narrowed
             turn.added, turn.fitted = one.name, fitted
     names = {one.name for one in found}
     for candidate in turn.candidates:
-        if candidate.effect != turn.added and candidate.effect in {*names, before}:
+        if candidate.effect != turn.added and candidate.effect in {*names, before} and not candidate.refused:
             worth = candidate.refit_gain is not None and candidate.refit_gain > (candidate.refit_size or 0) * price
             candidate.refused = f"{turn.added} is likelier" if worth and turn.added else TOO_LITTLE
     return best_setup
+
+
+def _stands_in(share: float) -> str:
+    return f"it explains {max(share, 0.0):.0%} of what is unlike speckle where it changes anything: it is not the cause"
 
 
 def with_all_anew(setup: FitSetup, turn: Turn, declared: Scene) -> FitSetup:
@@ -125,8 +140,25 @@ def posed_anew(setup: FitSetup, fitted: Fitted, declared: Scene) -> tuple[Scene,
     changed angles and spacings, all of them, surface and effects fitted together; as it is, and None, where nothing
     was changed or stands there."""
     moving = coordinates(declared, fitted.scene)
-    if not moving:
-        return fitted.scene, None
+    return _on_all_pixels(setup, fitted, moving) if moving else (fitted.scene, None)
+
+
+def with_edges(setup: FitSetup, fitted: Fitted, declared: Scene) -> tuple[Fitted, FoundPoses | None]:
+    """The model where all pixels have it, edges among them: what was changed of its geometry, as `posed_anew`, and the
+    effects that edges tell; the surface then again on its own pixels. As it is, and None, where it has none of these.
+
+    A shift hardly changes pixels away from edges. There it is known to a part of a pixel, and every outline, which
+    tells a tenth of that, lies off by what is left.
+    """
+    moving, effects = coordinates(declared, fitted.scene), effects_at_edges(fitted.scene.effects)
+    if not moving and not effects:
+        return fitted, None
+    scene, found = _on_all_pixels(setup, fitted, moving)
+    return refit_as(setup, scene, held=effects), found
+
+
+def _on_all_pixels(setup: FitSetup, fitted: Fitted, moving: Sequence[str]) -> tuple[Scene, FoundPoses]:
+    """The model's scene with these parameters of its geometry, surface and effects at their likeliest."""
     views = [view.view.name for view in fitted.problem.views]
     free = with_free(fitted.scene, moving)
     found = find_poses(

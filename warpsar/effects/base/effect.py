@@ -48,6 +48,7 @@ class Effect:
     additive: ClassVar[bool] = False  # puts power where the scene has none: judged on the dark pixels too
     is_floor: ClassVar[bool] = False  # adds the same positive power to every pixel: none may measure exactly 0
     in_image: ClassVar[bool] = False  # acts at places of the image, whatever surface lies there
+    at_edges: ClassVar[bool] = False  # moves or spreads what an image has: edges tell it, even ground does not
     affine: ClassVar[bool] = False  # image stage: a matrix times the image, plus an image that does not depend on it
     by_incidence: ClassVar[bool] = False  # changes a hit's power by its angles alone, wherever it lies
     needs_all_hits: ClassVar[bool] = False  # starts from all hits of a view at once: cannot be rendered in bands
