@@ -89,7 +89,7 @@ def strongest_of(render: ViewRender, reference_point_m: Sequence[float], count: 
         powers = {
             name: area * _power(of[name])[inside] if name in of else np.zeros(len(at)) for name in render.deposited
         }
-        rcs = {name: np.bincount(which, power, len(keys)) for name, power in powers.items()}
+        rcs = {name: np.bincount(which, power, len(keys)).astype(float) for name, power in powers.items()}
         total = np.sum(list(powers.values()), axis=0)
         sums = [np.bincount(which, total * axis, len(keys)) for axis in place.T]
         whole = np.bincount(which, total, len(keys))
