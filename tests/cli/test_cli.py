@@ -91,13 +91,14 @@ def test_wrong_usage_is_exit_2(arguments: list[str], tmp_path: Path, monkeypatch
                 "formats": ("exr",),
                 "looks": None,
                 "declare": False,
+                "scatterers": 0,
                 "yes": False,
             },
         ),
         (
             [
                 *("--device", "cuda:1", "--seed", "7", "--layers", "--variance", "--per-ray", "--max-memory", "1.5"),
-                *("--format", "geotiff", "--format", "zarr", "--looks", "4", "--declare", "--yes"),
+                *("--format", "geotiff", "--format", "zarr", "--looks", "4", "--declare", "--scatterers", "9", "--yes"),
             ],
             {
                 "device": "cuda:1",
@@ -109,6 +110,7 @@ def test_wrong_usage_is_exit_2(arguments: list[str], tmp_path: Path, monkeypatch
                 "formats": ("geotiff", "zarr"),
                 "looks": 4.0,
                 "declare": True,
+                "scatterers": 9,
                 "yes": True,
             },
         ),

@@ -30,10 +30,11 @@ EFFECTS, SENSOR = {"point_spread"}, {"view_angles v0", "pixel_spacing range"}
 MOVING = {"object_pose house", "object_size shed", "registration"}
 
 
-def doubted(findings: list[str], on_trial: list[str] | None = None) -> dict[str, str]:
+def doubted(findings: list[str], on_trial: list[str] | None = None, **more: Any) -> dict[str, str]:
     """Of a model with all of `HELD`, whose floor and shift alone are confirmed by their own tests."""
     signed = {"noise_floor", "registration"}.__contains__
-    found: Any = SimpleNamespace(held=HELD, on_trial=on_trial or [], signed=signed)
+    about = {"unexplained": False, "withdrawn": [], **more}
+    found: Any = SimpleNamespace(held=HELD, on_trial=on_trial or [], signed=signed, **about)
     judged = {"p_window": 1.0, "window": None}
     verdicts: Any = {
         "train": SimpleNamespace(findings=[], **judged),
@@ -57,6 +58,13 @@ def test_what_is_left_takes_names_that_may_stand_in_for_it(findings: list[str], 
     assert set(doubted(findings)) == names
 
 
+def test_what_the_scan_finds_counts_as_structure() -> None:
+    """A judgement may find nothing, and a refused effect may still say that something stands there. Beside a name that
+    was withdrawn all others stand."""
+    assert set(doubted([], unexplained=True)) == EFFECTS | SENSOR
+    assert doubted([], unexplained=True, withdrawn=["interference"]) == {}
+
+
 def test_what_was_left_on_trial_is_no_name() -> None:
     told = doubted([], ["noise_floor", "missing_object found_1"])
     assert set(told) == {"noise_floor", "missing_object found_1"}
@@ -70,7 +78,9 @@ def beside_a_window(row: int, col: int, chance: float) -> dict[str, str]:
     """Names that fail of a box's size, beside a window of 5 x 5 pixels in the first view that speckle makes by
     `chance`; edges agree."""
     scene = with_objects(plain(), (BOX.model_copy(update={"name": "it", "material": "hut"}),))
-    found: Any = SimpleNamespace(held=[HELD_SIZE], on_trial=[], final=SimpleNamespace(scene=scene))
+    found: Any = SimpleNamespace(
+        held=[HELD_SIZE], on_trial=[], unexplained=False, withdrawn=[], final=SimpleNamespace(scene=scene)
+    )
     window = SimpleNamespace(view=scene.views[0].name, row=row, col=col, rows=5, columns=5)
     verdict: Any = SimpleNamespace(findings=["structure"], p_window=chance, window=window)
     return not_established(found, {"train": verdict})

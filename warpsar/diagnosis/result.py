@@ -48,11 +48,13 @@ def not_established(diagnosis: Diagnosis, verdicts: Mapping[str, Judgement]) -> 
     """Names of the final model that are not earned, with their objects, and why, in words.
 
     What the time left on trial is none. Beside edges that do not agree, nothing that moves edges is, be it a body, an
-    angle or a shift of images, nor an effect whose own test does not confirm it. Beside structure, such effects and
-    angles and spacings of the sensor are not. A body lies at one place, and what is left may lie at another: its pose
-    and its size are not where the strongest window lies on it or its shadow.
+    angle or a shift of images, nor an effect whose own test does not confirm it. Beside structure, or what the scan of
+    the train views finds, such effects and angles and spacings of the sensor are not. A body lies at one place, and
+    what is left may lie at another: its pose and its size are not where the strongest window lies on it or its shadow.
     """
     left = {one for verdict in verdicts.values() for one in verdict.findings}
+    if diagnosis.unexplained and not diagnosis.withdrawn:
+        left.add("structure")
     why = {}
     for name in diagnosis.held:
         if name in diagnosis.on_trial:
