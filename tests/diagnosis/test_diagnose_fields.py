@@ -18,6 +18,8 @@ import warpsar
 from warpsar.cli.main import main
 from warpsar.diagnosis.field_content import identify_beside
 from warpsar.diagnosis.found import Candidate, DiagnoseOptions
+from warpsar.diagnosis.geometry.registry import names as geometry_names
+from warpsar.diagnosis.models import movable
 from warpsar.diagnosis.models.field_prior import has_fields, with_roughness
 from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.frozen import frozen
@@ -28,6 +30,7 @@ from warpsar.diagnosis.scores.score import REACH
 from warpsar.diagnosis.turn.field_projection import FREED, FieldProjection, bar_those_alone, known_of, sparse_tangent
 from warpsar.effects.registry import get
 from warpsar.errors import InputError
+from warpsar.learning import pose
 from warpsar.learning.problem import FitProblem
 from warpsar.learning.roughness import FieldPrior, Roughness
 from warpsar.learning.sparse_quadratic import SOLVED, SparseQuadratic, solved, whole_jacobian
@@ -317,6 +320,27 @@ def test_a_blur_is_found_beside_a_field_and_everything_is_saved(tmp_path: Path) 
     # on its own pixels and rays: within what those leave, as for uniform scenes (test_diagnose.py)
     assert evaluated.test["deviance"] == pytest.approx(content["after"]["test"]["deviance"], abs=0.1)
     assert "learned field" in (out / "report.html").read_text()
+
+
+@pytest.mark.full
+def test_beside_many_numbers_geometry_is_not_asked_and_that_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nor is the last fit of a blur dense then."""
+    monkeypatch.setattr(movable, "MOST_NUMBERS", 20)
+
+    def dense(*_: Any, **__: Any) -> None:
+        raise AssertionError("a dense curvature")
+
+    monkeypatch.setattr(pose, "_quadratic", dense)
+    scene = bumps(tmp_path, BLUR, texels=5)
+    scene.save(tmp_path / "scene.toml")
+    words = ["diagnose", str(tmp_path / "scene.toml"), "-o", str(tmp_path / "out"), "--device", "cpu", "--draws", "400"]
+    run = CliRunner().invoke(main, [*words, "--starts", "0", "--most-effects", "1"], catch_exceptions=False)
+    assert run.exit_code == 0, run.output
+    content = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
+    assert "point_spread" in [*content["verdict"], *content["not_established"]]
+    assert set(geometry_names()) <= set(content["not_testable"])
 
 
 def test_a_checkpoint_keeps_a_model_with_fields(tmp_path: Path) -> None:

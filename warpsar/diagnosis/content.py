@@ -12,8 +12,10 @@ from warpsar.compare.metrics import difference, pool
 from warpsar.diagnosis.field_content import fields_content
 from warpsar.diagnosis.found import Candidate, DiagnoseOptions, Diagnosis, EffectRival, Turn
 from warpsar.diagnosis.geometry.registry import is_geometry
+from warpsar.diagnosis.geometry.registry import names as geometry_names
 from warpsar.diagnosis.known import known_content
 from warpsar.diagnosis.left.words import described
+from warpsar.diagnosis.models.movable import MOST_NUMBERS, may_move
 from warpsar.diagnosis.models.names import kind_of, object_of
 from warpsar.diagnosis.result import Diagnosed, of_role, why_not
 from warpsar.diagnosis.search.outcome import outcome
@@ -33,7 +35,9 @@ def content_of(
     added = list(enumerate(turn for turn in diagnosis.turns if turn.fitted is not None))
     held = {turn.added: (k, turn) for k, turn in added if turn.added in diagnosis.held}  # the last time counts
     last_held = max(held.values(), key=lambda pair: pair[0])[1] if held else None
-    untestable = [c for c in last.candidates if c.testability != "testable"]
+    untestable = {c.effect: why_not(c) for c in last.candidates if c.testability != "testable"}
+    if options.bodies and not may_move(diagnosis.final.problem):
+        untestable |= dict.fromkeys(geometry_names(), f"the surface has more than {MOST_NUMBERS} numbers to learn")
     return {
         "options": asdict(options),
         "verdict": done.verdict,
@@ -70,8 +74,8 @@ def content_of(
             *(_candidate(c, diagnosis.turns[0]) for c in diagnosis.turns[0].candidates if not is_geometry(c.effect)),
             *map(_declared, diagnosis.scene.effects),
         ],
-        "not_testable": [c.effect for c in untestable],
-        "not_testable_because": {c.effect: why_not(c) for c in untestable},
+        "not_testable": list(untestable),
+        "not_testable_because": untestable,
         "turns": [_turn(turn) for turn in diagnosis.turns],
         "left_at_the_end": {
             "p_value": last.p_scan,

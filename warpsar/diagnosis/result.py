@@ -23,6 +23,7 @@ from warpsar.diagnosis.left.summary import Left, left_of
 from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.judge import Judge, under, with_speckle
 from warpsar.diagnosis.models.left_out import LARGEST_DIFFERENCE, clipped
+from warpsar.diagnosis.models.movable import may_move
 from warpsar.diagnosis.models.names import kind_of, object_of
 from warpsar.diagnosis.models.refit import Fitted, refit_without
 from warpsar.diagnosis.role_metrics import RoleMetrics, role_metrics
@@ -206,7 +207,8 @@ def judged(diagnosis: Diagnosis) -> Diagnosed:
     own = judge_of.with_own_numbers(fitted)
     verdicts = _verdicts(judge_of, fitted, final, own)
     foretold, opened = None, _with_open_surface(diagnosis, fitted, final, verdicts)
-    if opened is None and may_be_angles(verdicts) and own is judge_of(fitted, "test"):
+    may = may_be_angles(verdicts) and may_move(diagnosis.final.problem)
+    if opened is None and may and own is judge_of(fitted, "test"):
         diagnosis = with_own_angles(diagnosis, final)
         if diagnosis.of_test_views:
             fitted = diagnosis.final.scene

@@ -8,12 +8,17 @@ import numpy as np
 
 from warpsar.diagnosis.models.change import differences
 from warpsar.effects.registry import sets_all_positions
+from warpsar.learning.problem import FitProblem
 from warpsar.scene.placing import with_objects
 from warpsar.scene.scene import Scene
 from warpsar.world.objects.groups import group_names, with_groups
 from warpsar.world.objects.table import Learnable, Object
 
 MOST_OF_THE_SCENE = 0.5  # share of the faces' area in plan, from which a body is the ground, or all there is
+MOST_NUMBERS = 1000
+"""Of surface and effects, beside which geometry is asked. Its derivatives are dense, numbers times pixels, and its
+curvature takes their square in memory and their cube in time: a map of 64 x 64 texels of three parameters would take
+gigabytes and an hour."""
 
 
 def bodies(declared: Scene, scene: Scene) -> dict[str, np.ndarray]:
@@ -124,3 +129,8 @@ def _plan_area(vertices: np.ndarray, faces: np.ndarray) -> float:
     a, b, c = (vertices[faces[:, k], :2] for k in range(3))
     u, v = b - a, c - a
     return float(np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]).sum() / 2.0)
+
+
+def may_move(problem: FitProblem) -> bool:
+    """Whether geometry is asked beside what the problem learns."""
+    return problem.x0.size <= MOST_NUMBERS

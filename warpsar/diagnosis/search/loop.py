@@ -19,6 +19,7 @@ from warpsar.diagnosis.models.effect_gain import EffectGain
 from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.judge import Judge
 from warpsar.diagnosis.models.left_out import leave_one_view_out
+from warpsar.diagnosis.models.movable import may_move
 from warpsar.diagnosis.models.names import object_of
 from warpsar.diagnosis.models.refit import Fitted, narrow, on_bounded_ground, refit_as, settle
 from warpsar.diagnosis.scores.evidence import Evidence
@@ -273,7 +274,7 @@ class Search:
         if len(self._added(here)) < options.most_effects:
             price = evidence.price()
             # geometry puts no power where nothing is lit: what the dark pixels need is added first
-            geometry = options.bodies and not dark.asks
+            geometry = options.bodies and not dark.asks and may_move(here.problem)
             alarm = bool(passing or turn.alarms or shadows)
             alarm = alarm or bool(once.decide(float(geometry and self._judged_wrong())))
             sensor, shifts = screened_sensor(self.scene, setup, here) if geometry else ([], 0.0)

@@ -17,7 +17,7 @@ from warpsar.diagnosis.geometry.registry import changes, coordinates
 from warpsar.diagnosis.models.all_pixels import explained, log_likelihood
 from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.frozen import frozen
-from warpsar.diagnosis.models.movable import bodies, standing
+from warpsar.diagnosis.models.movable import bodies, may_move, standing
 from warpsar.diagnosis.models.refit import Fitted, narrowed_to, refit_as
 from warpsar.diagnosis.scores.score import minus_log_p
 from warpsar.diagnosis.turn.addition import TOO_LITTLE
@@ -145,13 +145,14 @@ def posed_anew(setup: FitSetup, fitted: Fitted, declared: Scene) -> tuple[Scene,
 
 def with_edges(setup: FitSetup, fitted: Fitted, declared: Scene) -> tuple[Fitted, FoundPoses | None]:
     """The model where all pixels have it, edges among them: what was changed of its geometry, as `posed_anew`, and the
-    effects that edges tell; the surface then again on its own pixels. As it is, and None, where it has none of these.
+    effects that edges tell; the surface then again on its own pixels. As it is, and None, where it has none of these,
+    or too many numbers (`may_move`).
 
     A shift hardly changes pixels away from edges. There it is known to a part of a pixel, and every outline, which
     tells a tenth of that, lies off by what is left.
     """
     moving, effects = coordinates(declared, fitted.scene), effects_at_edges(fitted.scene.effects)
-    if not moving and not effects:
+    if (not moving and not effects) or not may_move(fitted.problem):
         return fitted, None
     scene, found = _on_all_pixels(setup, fitted, moving)
     return refit_as(setup, scene, held=effects), found
