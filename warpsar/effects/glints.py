@@ -18,7 +18,6 @@ from warpsar.effects.base.trial import Context, Trial
 from warpsar.kernels import binning
 from warpsar.kernels.codes import Polarization
 from warpsar.kernels.effects import glints as kernels
-from warpsar.world.frame import ViewGeometry
 from warpsar.world.world import World
 
 ALL_ROUND_DEG = 180.0  # half width from which on a glint returns the same to all sides
@@ -74,14 +73,6 @@ def _points(value: Any) -> bool:
         )
 
     return isinstance(value, list | tuple) and all(map(row, value))
-
-
-def _range_m(geometry: ViewGeometry, place: np.ndarray) -> float:
-    """Slant range of a place, about that of the reference point."""
-    if geometry.slant_range_m is None:
-        return float(place @ geometry.d)
-    along, across = geometry.slant_range_m + place @ geometry.d, place @ geometry.v
-    return float(math.hypot(along, across) - geometry.slant_range_m)
 
 
 class Glints(Effect):
@@ -168,8 +159,7 @@ def _deposited(render: Recorder, glints: Sequence[Glint]) -> tuple[np.ndarray, n
     area = render.spacing_m[0] * render.spacing_m[1]
     found = []
     for one in glints:
-        place = np.array(one.place_m)
-        at = (_range_m(geometry, place), float(place @ geometry.u))
+        at = map(float, geometry.range_and_azimuth_m(np.array(one.place_m)))
         row, col = ((a - start) / step - 0.5 for a, start, step in zip(at, grid.start_m, grid.spacing_m, strict=True))
         first = math.floor(row), math.floor(col)
         for i in (0, 1):

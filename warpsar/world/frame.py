@@ -26,6 +26,14 @@ class ViewGeometry:
     wavenumber: float
     slant_range_m: float | None = None
 
+    def range_and_azimuth_m(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Where points, (..., 3) [m] about the reference point, lie in the image, shape (...): slant range, in a
+        strip-map the distance from the track less R0, and azimuth."""
+        along = points @ self.d
+        if self.slant_range_m is not None:
+            along = np.hypot(self.slant_range_m + along, points @ self.v) - self.slant_range_m
+        return along, points @ self.u
+
 
 @lru_cache(maxsize=2**12)
 def view_geometry(

@@ -61,15 +61,9 @@ def misplaced(world: World) -> list[str]:
 def _in_image(world: World, view: object, vertices: np.ndarray) -> bool:
     """Whether the box about the object in range and azimuth meets the image."""
     geometry = geometry_of(world, view)  # type: ignore[arg-type]
-    points = vertices - np.asarray(world.reference_point_m)
-    along, across = points @ geometry.d, points @ geometry.v
-    if geometry.slant_range_m is not None:
-        along = np.hypot(geometry.slant_range_m + along, across) - geometry.slant_range_m
+    places = geometry.range_and_azimuth_m(vertices - np.asarray(world.reference_point_m))
     halves = [n * step / 2.0 for n, step in zip(world.grid.shape, world.grid.spacing_m, strict=True)]
-    return all(
-        values.max() > -half and values.min() < half
-        for values, half in zip((along, points @ geometry.u), halves, strict=True)
-    )
+    return all(values.max() > -half and values.min() < half for values, half in zip(places, halves, strict=True))
 
 
 def _ground(assembly: Assembly, floor: Object | None, one: Object, point: np.ndarray) -> float:

@@ -18,12 +18,8 @@ def shift_px(scene: Scene, view: View) -> np.ndarray:
 def pixel_of(scene: Scene, view: View, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Row and column of points, as floats: pixel i covers i to i + 1. `points` [m] are about the reference point,
     shape (n, 3)."""
-    axes = geometry_of(scene, view)
-    along = points @ axes.d
-    if axes.slant_range_m is not None:
-        along = np.hypot(along + axes.slant_range_m, points @ axes.v) - axes.slant_range_m
+    places = geometry_of(scene, view).range_and_azimuth_m(points)
     shift = shift_px(scene, view)
-    places = (along, points @ axes.u)
     row, col = (
         at / step + n / 2 + moved
         for at, n, step, moved in zip(places, scene.grid.shape, scene.grid.spacing_m, shift, strict=True)
