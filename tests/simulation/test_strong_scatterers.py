@@ -53,6 +53,8 @@ def test_a_trihedral_stands_at_its_apex_with_its_level_and_its_three_faces() -> 
     assert found.bounces[0] == 3
     assert len({face // 2 for face in found.faces[0]}) == 3  # plates of two triangles each
     np.testing.assert_allclose(found.place_m[0], APEX, atol=0.25)
+    places = map(tuple, np.round(found.place_m, 3).tolist())
+    assert len(set(zip(found.term, found.faces, places, strict=True))) == len(found)  # each once
     triple = found.bounces == 3
     expected = 12.0 * np.pi / (299792458.0 / 9.6e9) ** 2
     assert 10.0 * np.log10(found.rcs_m2["HH"][triple].sum() / expected) == pytest.approx(0.0, abs=0.5)
@@ -89,6 +91,29 @@ def test_files_are_read_again(tmp_path: Path) -> None:
     (tmp_path / "b.csv").write_text("east_m,north_m\n1,2\n", encoding="utf-8")
     with pytest.raises(InputError, match=r"b\.csv: 'up_m'; must be a file of warpsar simulate --scatterers"):
         read_csv(tmp_path / "b.csv")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "east_m,north_m,up_m\n1,2,3\n",
+        "east_m,north_m,up_m,rcs_dbsm_HH\n1,2,nan,3\n",
+        "east_m,north_m,up_m,rcs_dbsm_HH\n1,2\n",
+    ],
+    ids=["empty", "no level", "not finite", "short row"],
+)
+def test_what_is_no_list_is_refused(text: str, tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=r"a\.csv: .*must be a file of warpsar simulate --scatterers"):
+        read_csv(tmp_path / "a.csv")
+
+
+def test_an_empty_list_of_a_view_is_read(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("east_m,north_m,up_m,rcs_dbsm_HH\n", encoding="utf-8")
+    place, levels = read_csv(tmp_path / "a.csv")
+    assert place.shape == (0, 3)
+    assert levels["HH"].shape == (0,)
 
 
 def test_the_commands_write_and_show_them(tmp_path: Path) -> None:

@@ -206,7 +206,7 @@ class Simulation:
         polarizations = self.scene.radar.polarizations
         render = BandedRender(self.stage, view, traced, columns, self.scene.grid.shape, polarizations, effects)
         beta0 = render.forward()
-        hits = count
+        hits = count  # below, the bands are traced once more
         return hits, beta0, _lit(render, beta0), None if again else self._strongest(render.pieces())
 
 
@@ -235,6 +235,7 @@ def simulate(
     scene = scene_or_file(scene)
     refuse_without_views(scene)
     refuse_number(max_memory_gib, "max_memory_gib", above=True)
+    refuse_number(scatterers, "scatterers", whole=True)
     stage = Stage.of(scene, devices.resolve_device(device))
     made = Simulation(
         scene,

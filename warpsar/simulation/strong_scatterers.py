@@ -7,7 +7,6 @@ Hinz and Bamler, IEEE TGRS 48, 2010).
 from __future__ import annotations
 
 import csv
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain
@@ -16,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from warpsar.effects.base.recorder import pixels_of
 from warpsar.errors import InputError
 from warpsar.io.images import replacing
 from warpsar.render.render import Deposited, ViewRender
@@ -36,7 +36,7 @@ class StrongScatterers:
     `term` is "surface" or the effect that adds the power. `faces` are numbers of the scene's triangles in the order of
     the bounces; empty where no face is known. `place_m`, (n, 3), is east, north, up; that of several bounces is where a
     single one would have their range, azimuth and mean elevation. `in_image_m`, (n, 2), is range and azimuth from the
-    reference point. `rcs_m2[pol]` is beta0 times the pixel's area, before the system's response.
+    reference point, before any shift. `rcs_m2[pol]` is beta0 times the pixel's area, before the system's response.
     """
 
     term: tuple[str, ...]
@@ -68,45 +68,42 @@ class StrongScatterers:
 
 def strongest_of(render: ViewRender, reference_point_m: Sequence[float], count: int) -> StrongScatterers:
     """The `count` strongest contributions to a render's image after a forward run."""
-    area = float(np.prod(render.spacing_m))
-    by_term: dict[tuple[str, int], dict[str, Deposited]] = {}
+    alike: dict[tuple[str, int], list[tuple[str, Deposited]]] = {}
     for name, deposits in render.deposited.items():
-        seen: Counter[str] = Counter()
         for one in deposits:
-            by_term.setdefault((one.term, seen[one.term]), {})[name] = one
-            seen[one.term] += 1
-    parts = []
-    for (term, _), of in by_term.items():
-        one = next(iter(of.values()))
-        at = np.arange(one.bins.shape[0]) if one.sample is None else one.sample.numpy()
-        place = one.points.numpy()[at].astype(float)
-        inside = _inside(render, place)
-        at, place = at[inside], place[inside]
-        faces = np.column_stack([np.zeros((len(at), 0), int), *(each.numpy()[at] for each in one.faces)])
-        pixel = np.floor(_in_image(render, place) / render.spacing_m).astype(int)
-        keys, first, which = np.unique(np.column_stack([pixel, faces]), axis=0, return_index=True, return_inverse=True)
-        which = which.reshape(-1)
-        powers = {
-            name: area * _power(of[name])[inside] if name in of else np.zeros(len(at)) for name in render.deposited
-        }
-        rcs = {name: np.bincount(which, power, len(keys)).astype(float) for name, power in powers.items()}
-        total = np.sum(list(powers.values()), axis=0)
-        sums = [np.bincount(which, total * axis, len(keys)) for axis in place.T]
-        whole = np.bincount(which, total, len(keys))
-        mean = np.where(
-            whole[:, None] > 0.0, np.stack(sums, axis=1) / np.maximum(whole, _FAINTEST)[:, None], place[first]
-        )
-        kept = np.argsort(-whole, kind="stable")[:count]
-        parts.append(
-            StrongScatterers(
-                (term,) * len(kept),
-                tuple(tuple(row) for row in keys[kept, 2:].tolist()),
-                mean[kept] + np.asarray(reference_point_m, float),
-                _in_image(render, mean[kept]),
-                {name: power[kept] for name, power in rcs.items()},
-            )
-        )
-    return together(parts, count)
+            alike.setdefault((one.term, len(one.faces)), []).append((name, one))
+    parts = [_joined(render, term, some, np.asarray(reference_point_m, float)) for (term, _), some in alike.items()]
+    return together([part.strongest(count) for part in parts], count)
+
+
+def _joined(
+    render: ViewRender, term: str, deposits: Sequence[tuple[str, Deposited]], reference_point_m: NDArray[np.float64]
+) -> StrongScatterers:
+    """Deposits of one term and one number of faces, each with its polarization: those of one pixel and one order of
+    faces are one scatterer, which stands at the mean place of their power."""
+    rows, places, powers, channels = [], [], [], []
+    names = tuple(render.deposited)
+    for name, one in deposits:
+        row, col, inside = pixels_of(render, one.bins.numpy())
+        at = (np.arange(len(row)) if one.sample is None else one.sample.numpy())[inside]
+        rows.append(np.column_stack([row[inside], col[inside], *(each.numpy()[at] for each in one.faces)]))
+        places.append(one.points.numpy()[at].astype(float))
+        powers.append(one.sigma.numpy()[at].astype(float) * one.weight.numpy()[inside])
+        channels.append(np.full(len(at), names.index(name)))
+    power, place = float(np.prod(render.spacing_m)) * np.concatenate(powers), np.concatenate(places)
+    keys, which = np.unique(np.concatenate(rows), axis=0, return_inverse=True)
+    cells = which.reshape(-1) * len(names) + np.concatenate(channels)
+    rcs = np.bincount(cells, power, len(keys) * len(names)).astype(float).reshape(len(keys), len(names))
+    share = np.maximum(power, _FAINTEST)  # so that what sends nothing has a place, too
+    whole = np.bincount(which.reshape(-1), share, len(keys))
+    mean = np.stack([np.bincount(which.reshape(-1), share * axis, len(keys)) / whole for axis in place.T], axis=1)
+    return StrongScatterers(
+        (term,) * len(keys),
+        tuple(map(tuple, keys[:, 2:].tolist())),
+        mean + reference_point_m,
+        np.stack(render.geometry.range_and_azimuth_m(mean), axis=1),
+        {name: rcs[:, k] for k, name in enumerate(names)},
+    )
 
 
 def together(parts: Sequence[StrongScatterers], count: int) -> StrongScatterers:
@@ -118,27 +115,6 @@ def together(parts: Sequence[StrongScatterers], count: int) -> StrongScatterers:
         np.concatenate([one.in_image_m for one in parts]),
         {name: np.concatenate([one.rcs_m2[name] for one in parts]) for name in parts[0].rcs_m2},
     ).strongest(count)
-
-
-def _power(one: Deposited) -> NDArray[np.float64]:
-    """beta0 that each bin gets, over one pixel."""
-    sigma = one.sigma.numpy().astype(float)
-    return (sigma if one.sample is None else sigma[one.sample.numpy()]) * one.weight.numpy()
-
-
-def _in_image(render: ViewRender, points: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Range and azimuth [m] of points about the reference point, (n, 2)."""
-    geometry = render.geometry
-    along, across = points @ geometry.d, points @ geometry.v
-    if geometry.slant_range_m is not None:
-        along = np.hypot(geometry.slant_range_m + along, across) - geometry.slant_range_m
-    return np.stack([along, points @ geometry.u], axis=1)
-
-
-def _inside(render: ViewRender, points: NDArray[np.floating]) -> NDArray[np.bool_]:
-    """Which points lie in the image: hits are binned beyond it, too, where an effect may move them in."""
-    half = 0.5 * np.multiply(render.shape, render.spacing_m)
-    return np.asarray((np.abs(_in_image(render, points)) <= half).all(axis=1))
 
 
 # ---- files
@@ -178,9 +154,17 @@ def read_csv(path: Path) -> tuple[NDArray[np.float64], dict[str, NDArray[np.floa
     """Places, (n, 3), and levels [dBsm] by polarization, (n,), of a file of `write_csv`. Raises InputError."""
     try:
         with open(path, newline="", encoding="utf-8") as file:
-            rows = list(csv.DictReader(file))
-        place = np.array([[float(row[name]) for name in PLACES] for row in rows]).reshape(-1, 3)
-        names = [name for name in (rows[0] if rows else {}) if name.startswith(RCS)]
-        return place, {name.removeprefix(RCS): np.array([float(row[name]) for row in rows]) for name in names}
+            table = csv.DictReader(file)
+            rows, columns = list(table), table.fieldnames or ()
+        levels = [name for name in columns if name.startswith(RCS)]
+        for name in (*PLACES, *(() if levels else (RCS,))):
+            if name not in columns:
+                raise KeyError(name)
+        numbers = np.array([[float(row[name]) for name in (*PLACES, *levels)] for row in rows])
+        if not np.isfinite(numbers).all():
+            raise ValueError("a number is not finite")
     except (OSError, UnicodeDecodeError, KeyError, TypeError, ValueError, csv.Error) as error:
-        raise InputError(f"{path}: {error}; must be a file of warpsar simulate --scatterers") from error
+        allowed = f"with the columns {', '.join(PLACES)} and {RCS}HH or the like"
+        raise InputError(f"{path}: {error}; must be a file of warpsar simulate --scatterers, {allowed}") from error
+    place, of_levels = np.split(numbers.reshape(-1, 3 + len(levels)), [3], axis=1)
+    return place, {name.removeprefix(RCS): values for name, values in zip(levels, of_levels.T, strict=True)}

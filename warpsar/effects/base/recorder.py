@@ -72,11 +72,18 @@ class Recorder(Protocol):
 
 def lit_pixels(render: Recorder) -> np.ndarray:
     """Which pixels of the image the hits fall into, shape (rows * cols,), bool; without any shift."""
-    grid, (rows, cols) = render.hits.grid, render.shape
-    fine = np.zeros(grid.shape[0] * grid.shape[1], bool)
-    fine[render.hits.pixel.numpy()] = True
-    margin = [(have - want * grid.bins_per_pixel) // 2 for have, want in zip(grid.shape, render.shape, strict=True)]
-    inner = fine.reshape(grid.shape)[
-        margin[0] : margin[0] + rows * grid.bins_per_pixel, margin[1] : margin[1] + cols * grid.bins_per_pixel
-    ]
-    return inner.reshape(rows, grid.bins_per_pixel, cols, grid.bins_per_pixel).any(axis=(1, 3)).ravel()
+    lit = np.zeros(render.shape, bool)
+    row, col, inside = pixels_of(render, render.hits.pixel.numpy())
+    lit[row[inside], col[inside]] = True
+    return lit.ravel()
+
+
+def pixels_of(render: Recorder, bins: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Row and column of the pixel that each bin of the hits' grid lies in, without any shift, and whether the image has
+    it: a grid has a margin; (n,) each."""
+    grid = render.hits.grid
+    row, col = (
+        (at - (have - want * grid.bins_per_pixel) // 2) // grid.bins_per_pixel
+        for at, have, want in zip(np.divmod(bins, grid.shape[1]), grid.shape, render.shape, strict=True)
+    )
+    return row, col, (row >= 0) & (row < render.shape[0]) & (col >= 0) & (col < render.shape[1])
