@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from warpsar.compare.aim import SMOOTHED_PX
 from warpsar.compare.laid import TILE, BesideMean
 from warpsar.compare.prediction import PredictedImage, Summary, advantage, summaries
 from warpsar.io import html as report
@@ -14,7 +15,7 @@ NAMES = {
     "box": "a box of its size, same effects",
     "then": "the model that met the box",
     "nearest": "nearest measured view, turned",
-    "smoothed": "the same, smoothed by 1.5 pixels",
+    "smoothed": f"the same, smoothed by {SMOOTHED_PX:g} pixels",
     "mirrored": "nearest mirrored view, turned",
     "mean": "mean of the measured views",
     "mean_3x3": "the same, over 3 x 3 pixels",

@@ -17,8 +17,8 @@ from warpsar.world.objects.table import Learnable, Object
 MOST_OF_THE_SCENE = 0.5  # share of the faces' area in plan, from which a body is the ground, or all there is
 MOST_NUMBERS = 1000
 """Of surface and effects, beside which geometry is asked. Its derivatives are dense, numbers times pixels, and its
-curvature takes their square in memory and their cube in time: a map of 64 x 64 texels of three parameters would take
-gigabytes and an hour."""
+curvature takes their square in memory and their cube in time: a map of 64 x 64 texels of three parameters takes
+gigabytes."""
 
 
 def bodies(declared: Scene, scene: Scene) -> dict[str, np.ndarray]:

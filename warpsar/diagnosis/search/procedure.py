@@ -18,6 +18,7 @@ from warpsar.diagnosis.models.field_prior import has_fields, with_roughness
 from warpsar.diagnosis.models.fit_setup import FitSetup
 from warpsar.diagnosis.models.frozen import frozen
 from warpsar.diagnosis.models.judge import Judge, with_speckle
+from warpsar.diagnosis.models.movable import MOST_NUMBERS, may_move
 from warpsar.diagnosis.models.refit import fit_model, refit_as
 from warpsar.diagnosis.scores.bootstrap import BATCH
 from warpsar.diagnosis.scores.evidence import Evidence
@@ -74,6 +75,8 @@ def diagnose_scene(
         refuse_unsavable(scene)
         setup, started = with_roughness(setup, scene, options.seed)
     declared = record.declared(setup, scene, partial(fit_model, setup, scene, options.starts, options.seed, started))
+    if options.bodies and not may_move(declared.problem):
+        console.say(f"bodies, angles and spacings are not asked: the scene learns more than {MOST_NUMBERS:,} numbers")
     judge = Judge(device)
     speckle = once.find(lambda: speckle_of(judge(declared.scene, "train")))
     asked = scene
