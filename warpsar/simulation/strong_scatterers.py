@@ -72,15 +72,19 @@ def strongest_of(render: ViewRender, reference_point_m: Sequence[float], count: 
     for name, deposits in render.deposited.items():
         for one in deposits:
             alike.setdefault((one.term, len(one.faces)), []).append((name, one))
-    parts = [_joined(render, term, some, np.asarray(reference_point_m, float)) for (term, _), some in alike.items()]
-    return together([part.strongest(count) for part in parts], count)
+    origin = np.asarray(reference_point_m, float)
+    return together([_joined(render, term, some, origin, count) for (term, _), some in alike.items()], count)
 
 
 def _joined(
-    render: ViewRender, term: str, deposits: Sequence[tuple[str, Deposited]], reference_point_m: NDArray[np.float64]
+    render: ViewRender,
+    term: str,
+    deposits: Sequence[tuple[str, Deposited]],
+    reference_point_m: NDArray[np.float64],
+    count: int,
 ) -> StrongScatterers:
-    """Deposits of one term and one number of faces, each with its polarization: those of one pixel and one order of
-    faces are one scatterer, which stands at the mean place of their power."""
+    """The `count` strongest of deposits of one term and one number of faces, each with its polarization: those of one
+    pixel and one order of faces are one scatterer, which stands at the mean place of their power."""
     rows, places, powers, channels = [], [], [], []
     names = tuple(render.deposited)
     for name, one in deposits:
@@ -97,6 +101,8 @@ def _joined(
     share = np.maximum(power, _FAINTEST)  # so that what sends nothing has a place, too
     whole = np.bincount(which.reshape(-1), share, len(keys))
     mean = np.stack([np.bincount(which.reshape(-1), share * axis, len(keys)) / whole for axis in place.T], axis=1)
+    kept = np.argsort(-rcs.sum(axis=1), kind="stable")[:count]
+    keys, mean, rcs = keys[kept], mean[kept], rcs[kept]
     return StrongScatterers(
         (term,) * len(keys),
         tuple(map(tuple, keys[:, 2:].tolist())),
