@@ -135,7 +135,8 @@ def in_short(done: Diagnosed) -> str:
     names = ", ".join(name + others.get(name, "") for name in done.verdict)
     parts = []
     if done.unexplained:
-        why = dict.fromkeys(_WORDS[kind] for one in done.verdicts.values() for kind in one.findings)
+        findings = dict.fromkeys(_WORDS[kind] for one in done.verdicts.values() for kind in one.findings)
+        why = [*findings, *(f"{label} leaves its tolerance" for label in done.leaving)]
         parts.append(f"unexplained: {', '.join(why) or '; '.join(done.reasons)}")
         parts += [f"found: {names}"] if names else []
         doubted = ", ".join(dict.fromkeys(map(kind_of, done.not_established)))

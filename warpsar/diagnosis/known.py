@@ -9,6 +9,12 @@ from warpsar.learning.identify import Identified, identify
 from warpsar.learning.pull import leaving, pulls
 
 
+def leaves_tolerance(diagnosis: Diagnosis) -> list[str]:
+    """The values that the images pull out of what the scene knows of them, in the final model."""
+    problem, x = diagnosis.final.problem, diagnosis.final.x
+    return leaving(pulls(problem, x, identify(problem, x) if problem.uniform else None)) if problem.prior.known else []
+
+
 def known_content(diagnosis: Diagnosis, identified: Identified) -> dict[str, Any]:
     """For diagnosis.json: each known value in the declared model and in the final one; `identified` is the final's."""
     first, last = diagnosis.declared, diagnosis.final

@@ -18,6 +18,7 @@ from warpsar.compare.metrics import difference, likelihood_gain
 from warpsar.diagnosis.alternatives import Deciding, deciding
 from warpsar.diagnosis.found import REFUSES, Candidate, DiagnoseOptions, Diagnosis, EffectRival
 from warpsar.diagnosis.geometry.registry import changes, is_geometry, of
+from warpsar.diagnosis.known import leaves_tolerance
 from warpsar.diagnosis.left.place import ResidualPlace, place
 from warpsar.diagnosis.left.summary import Left, left_of
 from warpsar.diagnosis.models.fit_setup import FitSetup
@@ -45,13 +46,17 @@ from warpsar.speckle.scan import Spot
 # ---- which names of the final model are earned
 
 
-def not_established(diagnosis: Diagnosis, verdicts: Mapping[str, Judgement]) -> dict[str, str]:
+def not_established(
+    diagnosis: Diagnosis, verdicts: Mapping[str, Judgement], leaving: Sequence[str] = ()
+) -> dict[str, str]:
     """Names of the final model that are not earned, with their objects, and why, in words.
 
     What the time left on trial is none. Beside edges that do not agree, nothing that moves edges is, be it a body, an
     angle or a shift of images, nor an effect whose own test does not confirm it. Beside structure, or what the scan of
     the train views finds, such effects and angles and spacings of the sensor are not. A body lies at one place, and
     what is left may lie at another: its pose and its size are not where the strongest window lies on it or its shadow.
+    Beside values that are `leaving` their tolerance an effect may stand in for their error, unless its own test
+    confirms it.
     """
     left = {one for verdict in verdicts.values() for one in verdict.findings}
     if diagnosis.unexplained and not diagnosis.withdrawn:
@@ -71,6 +76,8 @@ def not_established(diagnosis: Diagnosis, verdicts: Mapping[str, Judgement]) -> 
             why[name] = "edges do not agree with it"
         elif {"edges", "structure"} & left and not diagnosis.signed(name):
             why[name] = "what is left may be what it stands in for, and its own test does not confirm it"
+        elif leaving and not diagnosis.signed(name):
+            why[name] = f"it may stand in for an error of {', '.join(leaving)}, and its own test does not confirm it"
     return why
 
 
@@ -105,7 +112,7 @@ class Diagnosed:
     both. `reasons`: what speaks against an all-clear, a sentence each.
     `place`: the strongest window of what is left at the end; `left`: what is left altogether. `alternatives`: rivals
     that the data do not decide against, and which measurement would. `not_established`: names of the final model that
-    are not earned, and why. `doubts`: why values of surfaces and effects mean little, whatever the images say: they lie
+    are not earned, and why. `leaving`: values that leave the tolerance to which the scene knows them. `doubts`: why values of surfaces and effects mean little, whatever the images say: they lie
     on bounds, or outside the domain of their model.
     """
 
@@ -121,6 +128,7 @@ class Diagnosed:
     alternatives: list[tuple[EffectRival, Deciding]] = field(default_factory=list)
     not_established: dict[str, str] = field(default_factory=dict)
     doubts: list[str] = field(default_factory=list)
+    leaving: list[str] = field(default_factory=list)
 
     def __repr__(self) -> str:
         names = ", ".join(self.verdict) or "nothing missing"
@@ -224,8 +232,9 @@ def judged(diagnosis: Diagnosis) -> Diagnosed:
     models.append([image for role in ROLES for image in under(judge_of(fitted, role), final)])
     first = judge_of.with_own_numbers(diagnosis.declared.scene, edges=False)
     paying = under(first, diagnosis.scene), under(own, final)
-    reasons = _reasons(diagnosis, [*diagnosis.verdict, *speckle.names], verdicts, paying)
-    doubted = not_established(diagnosis, verdicts)
+    leaving = leaves_tolerance(diagnosis)
+    reasons = _reasons(diagnosis, [*diagnosis.verdict, *speckle.names], verdicts, paying, leaving)
+    doubted = not_established(diagnosis, verdicts, leaving)
     named = [name for name in diagnosis.held if name not in doubted]
     undecided = [rival for rival in diagnosis.rivals if rival.undecided and rival.effect in named]
     looks = float(np.median([seen.looks for seen in diagnosis.observations]))
@@ -238,7 +247,7 @@ def judged(diagnosis: Diagnosis) -> Diagnosed:
     problem, x = diagnosis.final.problem, diagnosis.final.x
     little = doubts(problem, x, {}, outside_domains(problem, x))
     return Diagnosed(
-        diagnosis, models, speckle, verdicts, reasons, own_numbers, foretold, where, left, alternatives, doubted, little
+        diagnosis, models, speckle, verdicts, reasons, own_numbers, foretold, where, left, alternatives, doubted, little, leaving
     )
 
 
@@ -302,9 +311,11 @@ def _reasons(
     names: Sequence[str],
     verdicts: Mapping[str, Judgement],
     tested: tuple[Sequence[Comparison], Sequence[Comparison]],
+    leaving: Sequence[str],
 ) -> list[str]:
     """What speaks against an all-clear, a sentence each. `tested`: the test images beside the declared and the final
-    model, with what each of these holds for each view by itself fitted to them."""
+    model, with what each of these holds for each view by itself fitted to them. `leaving`: values that the images pull
+    out of their tolerance, so that either they or what the scene knows of them is wrong."""
     reasons = [f"{role} views: {one.words}" for role, one in verdicts.items() if one.wrong]
     if diagnosis.withdrawn:
         reasons.append(f"{', '.join(diagnosis.withdrawn)} held on train views, but the test views speak against it")
@@ -316,7 +327,7 @@ def _reasons(
     other_laws = any(a.seen.law != b.seen.law for a, b in zip(before, after, strict=True))
     if names and other_laws and likelihood_gain(before, after) <= 0.0:
         reasons.append(f"{', '.join(names)} does not pay on test views: their likelihood did not rise")
-    return reasons
+    return reasons + [f"{label} leaves its tolerance" for label in leaving]
 
 
 def _without_what_hurts(diagnosis: Diagnosis) -> Diagnosis:
