@@ -210,7 +210,8 @@ def test_rays_are_followed_anew_only_where_a_trace_of_them_helps(
     search.trained.names = search.order
     asked: list[tuple[float, float]] = []
 
-    def scores(one: Scene, names: list[str]) -> np.ndarray:
+    def scores(one: Scene, names: list[str], *, coarse: bool = False) -> np.ndarray:
+        assert coarse  # borders of corners are cut finer for a fit alone
         strength = one.effects.get("multibounce", {}).get("strength", 0.0)
         asked.append((strength, one.sampling.density_per_m2(one.grid) / scene.sampling.density_per_m2(scene.grid)))
         return np.full(len(names), 1.0 + strength)

@@ -559,13 +559,9 @@ class FoldSearch:
         scene = model.scenes[0]
 
         def traced(one: EffectHypothesis, tables: list[dict[str, Any]]) -> tuple[float, float, dict[str, Any], bool]:
-            some = _spread(ahead, FEWER)
-            coarse = with_few_rays(scene)
-            gains = [
-                self.trained.scores(coarse, some)
-                - self.trained.scores(one.started(coarse, one.trace_of(table), coarse), some)
-                for table in tables
-            ]
+            thin = with_few_rays(scene)
+            scored = partial(self.trained.scores, names=_spread(ahead, FEWER), coarse=True)
+            gains = [scored(thin) - scored(one.started(thin, one.trace_of(table), thin)) for table in tables]
             best = int(np.argmax([gain.mean() for gain in gains]))
             return *mean_and_error(gains[best]), tables[best], False
 
