@@ -18,6 +18,7 @@ from warpsar.diagnosis.held_out.search import HeldOut, held_out
 from warpsar.diagnosis.run_log import open_run_log
 from warpsar.io import checkpoint
 from warpsar.learning.learn import tag_of
+from warpsar.learning.pull import leaving
 from warpsar.runtime import console, once
 from warpsar.simulation.outputs import opened, write_json
 from warpsar.version import __version__
@@ -77,6 +78,8 @@ def content_of(result: HeldOut) -> dict[str, Any]:
         "folds": result.folds,
         "steps": [asdict(step) for step in result.steps],
         "profiles": {name: asdict(profile) for name, profile in result.profiles.items()},
+        "tolerances": {one.label: one.content() for one in result.pulls},
+        "leaves_tolerance": leaving(result.pulls),
         "left_out": {
             "deviance_before": float(np.mean(list(result.before.values()))),
             "deviance_after": float(np.mean(list(result.after.values()))),
