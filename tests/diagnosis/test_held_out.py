@@ -298,7 +298,7 @@ def test_a_profile_goes_on_beyond_its_end(tmp_path: Path) -> None:
 def test_a_height_far_from_its_tolerance_is_said(
     tmp_path: Path, likes_m: float, scatter_m: float, weight: float, leaves: bool
 ) -> None:
-    """Known as 2.0 +- 0.2 m: 2.68 m is 3.4 of its standard deviations away, and views that hardly know do not say so."""
+    """Known as 2.0 +- 0.2 m: 2.68 m is 3.4 of its standard deviations away. Views that hardly know do not say so."""
     path = tmp_path / "scene.toml"
     path.write_text(SCENE + views(2))
     scene = Scene.load(path)
