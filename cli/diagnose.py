@@ -49,7 +49,7 @@ from warpsar.cli import options
     type=click.IntRange(min=2),
     metavar="N",
     help="Judge by train views that are left out, in N parts, each of arcs of azimuth, in place of tests of speckle: "
-    "for many views of one target.",
+    "for many views of one target. On curves, also hold back the train frequencies in N parts.",
 )
 @options.resume
 def command(

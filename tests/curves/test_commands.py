@@ -15,7 +15,9 @@ from conftest import ROOT
 
 import warpsar
 from warpsar.cli.main import main
+from warpsar.curves.search import TermSearch
 from warpsar.diagnosis import curves
+from warpsar.diagnosis.curve_folds import HeldBack, lost
 
 HEAD = """
 [scene]
@@ -91,6 +93,43 @@ def test_diagnose_names_edges_and_its_scene_evaluates_better(tmp_path: Path) -> 
     after = run("evaluate", tmp_path / "out" / "scene.toml", tmp_path / "after")
     for old, new in zip(before["curves"], after["curves"], strict=True):
         assert new["error_db"]["model"] < 0.5 * old["error_db"]["model"]
+
+
+@pytest.mark.full
+def test_every_frequency_is_held_back_in_turn(tmp_path: Path) -> None:
+    """5 GHz foretells 7 GHz, and 7 GHz 5 GHz: each finds the edges by itself. What one of them lacks is said."""
+    path = with_curves(tmp_path / "scene", "conductor = true", "conductor = true", ("single", "edges"))
+    path.write_text(path.read_text().replace('role = "test"', 'role = "train"'))
+    words = ["diagnose", str(path), "-o", str(tmp_path / "out"), "--device", "cpu", "--folds"]
+    done = CliRunner().invoke(main, [*words, "2"], catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    found = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
+    assert found["verdict"] == ["edge_diffraction"]
+    assert [one["frequencies_hz"] for one in found["held_back"]] == [[5e9], [7e9]]
+    for one in found["held_back"]:
+        assert one["verdict"] == ["edge_diffraction"]
+        assert one["error_db_after"] < 0.5 * one["error_db_before"]
+    assert found["not_in_every_part"] == []
+    assert "7 GHz held back: edge_diffraction" in (tmp_path / "out" / "report.html").read_text()
+
+    few = CliRunner().invoke(main, [*words, "3"])
+    assert few.exit_code == 2
+    assert "--folds 3: found train curves of 2 frequencies; must be 3 or more" in few.output
+
+
+@pytest.mark.unit
+def test_a_name_that_one_part_lacks_is_said() -> None:
+    def part(*names: str) -> HeldBack:
+        return HeldBack(
+            [5e9],
+            curves.DiagnosedCurves(
+                warpsar.Scene.__new__(warpsar.Scene), [], {"all": TermSearch((), names, (), ())}, [], []
+            ),
+        )
+
+    both = "edge_diffraction", "multibounce"
+    assert lost(both, [part(*both), part("edge_diffraction")]) == ["multibounce"]
+    assert lost(both, [part(*both)]) == []
 
 
 @pytest.mark.full

@@ -36,6 +36,7 @@ from warpsar.diagnosis.held_out.search import (
 from warpsar.diagnosis.run_log import RunLog, open_run_log
 from warpsar.effects.glints import Glint
 from warpsar.errors import InputError
+from warpsar.learning.pull import leaving
 from warpsar.measured.chips import import_chips
 from warpsar.runtime import devices
 from warpsar.runtime.deadline import TimeUp
@@ -210,7 +211,8 @@ def test_rays_are_followed_anew_only_where_a_trace_of_them_helps(
     search.trained.names = search.order
     asked: list[tuple[float, float]] = []
 
-    def scores(one: Scene, names: list[str]) -> np.ndarray:
+    def scores(one: Scene, names: list[str], *, coarse: bool = False) -> np.ndarray:
+        assert coarse  # borders of corners are cut finer for a fit alone
         strength = one.effects.get("multibounce", {}).get("strength", 0.0)
         asked.append((strength, one.sampling.density_per_m2(one.grid) / scene.sampling.density_per_m2(scene.grid)))
         return np.full(len(names), 1.0 + strength)
@@ -286,6 +288,31 @@ def test_a_profile_goes_on_beyond_its_end(tmp_path: Path) -> None:
     # what falls as far as anybody looks is known to no better than a step
     end, _ = profiled(height, scene, WIDE, lambda change: np.full(12, -height.now(change(scene))), weight=1e4)
     assert end.half >= end.places[-1] - end.places[-2]
+
+
+@pytest.mark.unit
+@pytest.mark.parametrize(
+    ("likes_m", "scatter_m", "weight", "leaves"),
+    [(2.68, 0.02, 1e4, True), (2.68, 2.0, 1.0, False), (2.3, 0.02, 1e4, False)],
+)
+def test_a_height_far_from_its_tolerance_is_said(
+    tmp_path: Path, likes_m: float, scatter_m: float, weight: float, leaves: bool
+) -> None:
+    """Known as 2.0 +- 0.2 m: 2.68 m is 3.4 of its standard deviations away. Views that hardly know do not say so."""
+    path = tmp_path / "scene.toml"
+    path.write_text(SCENE + views(2))
+    scene = Scene.load(path)
+    height = next(one for one in numbers(scene) if one.label == "body.height")
+    likes = likes_m + scatter_m * np.random.default_rng(0).normal(size=12)
+    found, _ = profiled(height, scene, WIDE, lambda change: (height.now(change(scene)) - likes) ** 2, weight)
+    result = held({"model": (0.9, 1.3), **PICTURE}, 1.3, rivals=False)
+    result.profiles["body.height"] = found
+    assert found.pull.prior == pytest.approx(2.0)
+    assert leaving(result.pulls) == (["body.height"] if leaves else [])
+    assert any("body.height leaves its tolerance: known as 2 +- 0.2 m" in one for one in judgement(result)) == leaves
+    if scatter_m < 1.0:
+        assert found.data == pytest.approx(likes.mean(), abs=0.01)
+        assert found.pull.tension == pytest.approx((likes.mean() - 2.0) / 0.2, rel=0.02)
 
 
 @pytest.mark.unit

@@ -8,7 +8,7 @@ model has the shift that its own likelihood chooses, a rival the shift that the 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -90,14 +90,18 @@ def measured_of(scene: Scene, view: View, polarization: str) -> np.ndarray:
     return found if mask is None else np.where(mask, found, np.nan)
 
 
-def predicted(scene: Scene, views: Sequence[View], device: wp.Device) -> list[dict[str, np.ndarray]]:
-    """beta0 of each view by polarization, with no aim point of its own, as rays of the declared density have it."""
+def predicted(
+    scene: Scene, views: Sequence[View], device: wp.Device, *, coarse: bool = False
+) -> list[dict[str, np.ndarray]]:
+    """beta0 of each view by polarization, with no aim point of its own, as rays of the declared density have it.
+    `coarse` as in `Hits`."""
     bare = without_aims(scene)
     stage, density = Stage.of(bare, device), bare.sampling.density_per_m2(bare.grid)
 
     def image(view: View, index: int) -> dict[str, np.ndarray]:
         effects, seed = declared(bare, view), view_seed(bare.sampling.seed, index)
         hits = trace_view(bare, stage, view, seed=seed, effects=effects, rays_per_m2=density)
+        hits = replace(hits, coarse=coarse)
         render = ViewRender(stage, view, hits, bare.grid.shape, bare.radar.polarizations, effects)
         return {pol: np.asarray(plane, float) for pol, plane in render.forward().items()}
 

@@ -3,6 +3,8 @@
 The files, the outermost first:
 
 command.py          the command
+curve_command.py    the command on curves of RCS
+curve_folds.py      frequencies of curves that are held back in turn
 curves.py           which terms and materials measured curves of RCS show
 curve_materials.py  the materials that parts of a body may have, and the curves beside such bodies
 result.py           `diagnose`, and its result on all views

@@ -8,11 +8,10 @@ import time
 from pathlib import Path
 from typing import Any
 
-from warpsar.coherent.left_out import left_out_warning
 from warpsar.compare.aim import unaimed
 from warpsar.compare.contract import ROLES
 from warpsar.diagnosis.content import content_of
-from warpsar.diagnosis.curves import diagnose_curves
+from warpsar.diagnosis.curve_command import run_curves
 from warpsar.diagnosis.found import DiagnoseOptions
 from warpsar.diagnosis.left.words import first_sentence
 from warpsar.diagnosis.models.names import kind_of
@@ -23,7 +22,6 @@ from warpsar.diagnosis.search.procedure import diagnose_scene
 from warpsar.diagnosis.search.record import open_record
 from warpsar.diagnosis.surface_moves import moved_parameters
 from warpsar.diagnosis.written_scene import annotate
-from warpsar.evaluation.report_curves import write_curves_report
 from warpsar.io import checkpoint
 from warpsar.runtime import console, once
 from warpsar.simulation.outputs import opened, write_json
@@ -53,26 +51,7 @@ def run(
     words = command_line(scene_path, out, where.alias, options)
     refuse_both_kinds(scene)
     if scene.has_curves_alone:
-        console.warn(left_out_warning(scene, "a curve"))
-        asked = diagnose_curves(scene, out / "cache", where.alias)
-        asked.scene.save(out / "scene.toml")
-        content = write_json(out / "diagnosis.json", scene, where, options.seed, started, asked.content())
-        title, beside = f"What {Path(scene_path).name} lacks, by its curves", "scene.toml, diagnosis.json (all numbers)"
-        page = out / "report.html"
-        write_curves_report(
-            page,
-            title,
-            asked.after,
-            asked.verdicts,
-            content,
-            words,
-            before=asked.before,
-            words=asked.words,
-            beside=beside,
-        )
-        console.say_written(out, "report.html", "diagnosis.json", "scene.toml")
-        print(asked.in_short, file=sys.stdout)
-        return content
+        return run_curves(scene, out, where, started, words, seed=options.seed)
     console.warn(unaimed(scene))
     once.join(where)
     phases = once.find(lambda: ask_phase(scene))

@@ -41,7 +41,7 @@ def known_rows(content: dict[str, Any]) -> list[list[str]]:
         values = [_with_error(each["posterior"], each["posterior_sd"]) for each in (before, after)]
         pull = [f"{each['pull']:+.1f}" for each in (before, after)]
         known = _with_error(after["prior"], after["prior_sd"])
-        rows.append([f"{label}{unit}", known, values[0], pull[0], values[1], pull[1], alone, _tension(after)])
+        rows.append([f"{label}{unit}", known, values[0], pull[0], values[1], pull[1], alone, tension_words(after)])
     return rows
 
 
@@ -54,7 +54,8 @@ KNOWN_CAPTION = (
 )
 
 
-def _tension(one: dict[str, Any]) -> str:
+def tension_words(one: dict[str, Any]) -> str:
+    """For a cell of a table, of `Pull.content`."""
     tension = "–" if one["tension"] is None else f"{one['tension']:+.1f} sd"
     return f"{tension}: leaves it" if one["alarm"] else tension
 

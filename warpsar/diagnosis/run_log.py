@@ -30,12 +30,14 @@ class RunLog:
         kept: Checkpoint | None = None,
     ) -> None:
         self._kept, self._tag, self.entries = kept or Checkpoint(folder, resume=True), tag, list(entries or [])
+        self._told = [json.dumps(entry) for entry in self.entries]  # all of them, after each step, took long
         self._next = 0
 
     def add(self, entry: Any) -> None:
         """Keep an entry, and store all."""
         self.entries.append(entry)
-        self._kept.write(lambda: {"told": np.array(json.dumps(self.entries))}, self._tag)
+        self._told.append(json.dumps(entry))
+        self._kept.write(lambda: {"told": np.array(f"[{', '.join(self._told)}]")}, self._tag)
 
     def following(self, run: Callable[[], T], content: Callable[[T], Any], of: Callable[[Any], T]) -> T:
         """What the next step of the run gives: as stored, or by `run`. `content` makes an entry of it, and `of` makes

@@ -181,8 +181,9 @@ class FitProblem(SceneCoordinates):
             self._standing_values = z.tobytes()
 
     def _values(self, view: FitView, tables: Mapping[str, Mapping[str, Any]]) -> dict[str, np.ndarray]:
-        """The values of every effect's parameters in a view."""
-        return {e.effect.name: values_in(self.scene, view.view, e.effect, tables[e.effect.name]) for e in view.effects}
+        """The values in a view of the parameters of the effects that have a table."""
+        effects = [e.effect for e in view.effects if e.effect.name in tables]
+        return {one.name: values_in(self.scene, view.view, one, tables[one.name]) for one in effects}
 
     def _set(self, view: FitView, nodes: np.ndarray | None, tables: Mapping[str, Mapping[str, Any]]) -> None:
         view.render.set_parameters(nodes, self._values(view, tables))
@@ -528,14 +529,19 @@ class FitProblem(SceneCoordinates):
         for place, column in enumerate(columns):
             if self.of_effects.start <= column < self.of_effects.stop:
                 up, down = self._ends(x, column)
-                moved.append((place, self.effect_tables(up), self.effect_tables(down), up[column] - down[column]))
+                ends, width = (self.effect_tables(up), self.effect_tables(down)), up[column] - down[column]
+                moved.append((place, self.effect_coordinates[column - self.of_effects.start], ends, width))
         z = x[self.of_values]
         of_values = [(place, c - self.of_values.start) for place, c in enumerate(columns) if c >= self.of_values.start]
 
         def one(view: FitView, maker: ViewJacobian) -> tuple[list[np.ndarray], list[np.ndarray]]:
             values = self._values(view, tables)
             self._run_view(view, shared, values, surface, gradient=bool(places))
-            moves = [Move(p, self._values(view, up), self._values(view, down), width) for p, up, down, width in moved]
+            moves = []
+            for place, c, ends, width in moved:
+                if c.view in (None, view.view.name) or c.declared.zero_sum:
+                    up, down = (self._values(view, {c.effect: end[c.effect]}) for end in ends)
+                    moves.append(Move(place, up, down, width))
             found = maker.dense(values, nodes, moves, len(columns))
             for where, own in zip(found[1], maker.to_values(self.values, z) if of_values else (), strict=False):
                 for place, element in of_values:

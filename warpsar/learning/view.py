@@ -175,7 +175,7 @@ class Nodes:
 
 @dataclass(frozen=True)
 class Move:
-    """A column of an effect's parameter: the view's values of all effects with it `up` and `down`, `width` apart."""
+    """A column of an effect's parameter: the view's values of its effect with it `up` and `down`, `width` apart."""
 
     column: int
     up: Values

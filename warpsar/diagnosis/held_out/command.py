@@ -1,4 +1,5 @@
-"""`warpsar diagnose --folds N`: what the model lacks by views that were left out, in arcs of azimuth."""
+"""`warpsar diagnose --folds N`: what the model lacks by views left out in arcs of azimuth, or by curves of frequencies
+that are held back."""
 
 from __future__ import annotations
 
@@ -12,15 +13,18 @@ import numpy as np
 
 from warpsar.compare.aim import without_aims
 from warpsar.compare.prediction import Advantage, summaries
+from warpsar.diagnosis.curve_command import run_curves
 from warpsar.diagnosis.held_out.glints import on_bodies
 from warpsar.diagnosis.held_out.report import front_words, judgement, sentence, write_report
 from warpsar.diagnosis.held_out.search import HeldOut, held_out
 from warpsar.diagnosis.run_log import open_run_log
 from warpsar.io import checkpoint
 from warpsar.learning.learn import tag_of
+from warpsar.learning.pull import leaving
 from warpsar.runtime import console, once
 from warpsar.simulation.outputs import opened, write_json
 from warpsar.version import __version__
+from warpsar.world.world import refuse_both_kinds
 
 
 def run(
@@ -40,6 +44,9 @@ def run(
     started = time.perf_counter()
     scene, out, where = opened(scene_path, out, device)
     words = ["warpsar", "diagnose", str(scene_path), "-o", str(out), "--device", where.alias, "--folds", str(folds)]
+    refuse_both_kinds(scene)
+    if scene.has_curves_alone:
+        return run_curves(scene, out, where, started, words, parts=folds)
     once.join(where)
     tag = tag_of(scene, {"command": "diagnose", "version": __version__, "folds": folds})
     log = open_run_log(out, tag, resume)
@@ -77,6 +84,8 @@ def content_of(result: HeldOut) -> dict[str, Any]:
         "folds": result.folds,
         "steps": [asdict(step) for step in result.steps],
         "profiles": {name: asdict(profile) for name, profile in result.profiles.items()},
+        "tolerances": {one.label: one.content() for one in result.pulls},
+        "leaves_tolerance": leaving(result.pulls),
         "left_out": {
             "deviance_before": float(np.mean(list(result.before.values()))),
             "deviance_after": float(np.mean(list(result.after.values()))),

@@ -17,6 +17,7 @@ from warpsar.diagnosis.held_out.box import ends_m
 from warpsar.effects.registry import declared as effects_of
 from warpsar.effects.registry import get, response_of
 from warpsar.learning.geometry import NAMES, WORDS, freed
+from warpsar.learning.pull import Pull
 from warpsar.parameters.at import at
 from warpsar.parameters.parameter import Parameter
 from warpsar.scene.placing import with_objects
@@ -71,7 +72,8 @@ class Number:
 @dataclass(frozen=True)
 class Profile:
     """What views left out say of a number: its `value`, standard deviation and half width of the interval that holds
-    it in `INTERVAL` of all cases; mean `scores` at the `places` that were tried."""
+    it in `INTERVAL` of all cases; mean `scores` at the `places` that were tried. `data` +- `data_sd` is where they are
+    predicted best without its tolerance; None where that lies beyond the places."""
 
     label: str
     unit: str
@@ -82,6 +84,18 @@ class Profile:
     half: float
     places: tuple[float, ...]
     scores: tuple[float, ...]
+    data: float | None = None
+    data_sd: float | None = None
+
+    @property
+    def pull(self) -> Pull:
+        """How far it is from its tolerance."""
+        tension = None
+        if self.data is not None and self.data_sd is not None:
+            tension = (self.data - self.known) / math.hypot(self.data_sd, self.known_sd)
+        away = (self.value - self.known) / self.known_sd
+        found, alone = (self.value, self.sd), (self.data, self.data_sd)
+        return Pull(self.label, self.unit, self.known, self.known_sd, *found, away, *alone, tension)
 
 
 def numbers(scene: Scene) -> list[Number]:
@@ -186,9 +200,12 @@ def profiled(
         known = {one: known[one] if one in known else at(one) for one in steps}
     beyond = beyond_mesh(number, scene)
     sd, half = math.hypot(sd, beyond), math.hypot(half, NORMAL * beyond)
+    data, data_sd, _ = likeliest(places, weight * scores, np.zeros(len(places)))
+    inside = min(places) < data < max(places)
+    alone = (data, math.hypot(data_sd, beyond)) if inside else (None, None)
     means = tuple(float(one) for one in scores.mean(axis=1))
     unit = number.parameter.unit
-    found = Profile(number.label, unit, number.known, number.sd, value, sd, half, tuple(places), means)
+    found = Profile(number.label, unit, number.known, number.sd, value, sd, half, tuple(places), means, *alone)
     return found, value - now
 
 

@@ -20,6 +20,7 @@ from warpsar.diagnosis.held_out.model import TrainViews
 from warpsar.effects.glints import ALL_ROUND_DEG, EFFECT, Glint, lobe
 from warpsar.effects.registry import declared, response_of
 from warpsar.kernels.codes import Polarization
+from warpsar.runtime import threads
 from warpsar.runtime.deadline import check
 from warpsar.scene.scene import Scene
 from warpsar.speckle.likelihood import best_gain, bounded
@@ -193,7 +194,7 @@ def found_by_parts(
     best, count = float(np.mean([one for part in parts for one in part.deviances()])), 0
     for number in range(1, MOST + 1):
         check()
-        if not all(part.one_more() for part in parts):
+        if not all(threads.in_threads([part.one_more for part in parts])):
             break
         mean = float(np.mean([one for part in parts for one in part.deviances()]))
         if mean < best:

@@ -140,24 +140,26 @@ class TrainViews:
             images[pol] = Pixels(whole[row : row + shape[0], col : col + shape[1]])
         return view.model_copy(update={"images": images, "slc": {}, "mask": None})
 
-    def images(self, scene: Scene, names: Sequence[str]) -> list[dict[str, np.ndarray]]:
-        """What a scene predicts of views, by polarization, on the whole image."""
+    def images(self, scene: Scene, names: Sequence[str], *, coarse: bool = False) -> list[dict[str, np.ndarray]]:
+        """What a scene predicts of views, by polarization, on the whole image; `coarse` as in `Hits`."""
         bare = {view.name: view.model_copy(update={"images": {}}) for view in scene.views}
         on_whole = replace(scene, grid=self.whole.grid, views=list(bare.values()))
-        return predicted(on_whole, [bare[name] for name in names], self.device)
+        return predicted(on_whole, [bare[name] for name in names], self.device, coarse=coarse)
 
     def measured(self, name: str, polarization: str) -> np.ndarray:
         """Measured power of a train view, the whole image."""
         return self._measured[name, polarization]
 
-    def scores(self, scene: Scene, names: Sequence[str]) -> np.ndarray:
-        """Mean gamma deviance of each view at the model's best aim point, shape (names,): lower is better."""
+    def scores(self, scene: Scene, names: Sequence[str], *, coarse: bool = False) -> np.ndarray:
+        """Mean gamma deviance of each view at the model's best aim point, shape (names,): lower is better. `coarse` as
+        in `Hits`."""
 
         def score(name: str, image: Mapping[str, np.ndarray]) -> float:
             measured = {pol: one for (view, pol), one in self._beside.items() if view == name}
             return float(np.mean([one.deviance(image[pol]) for pol, one in measured.items()]))
 
-        tasks = [partial(score, name, image) for name, image in zip(names, self.images(scene, names), strict=True)]
+        images = self.images(scene, names, coarse=coarse)
+        tasks = [partial(score, name, image) for name, image in zip(names, images, strict=True)]
         return np.array(list(threads.in_threads(tasks)))
 
     def beside(self, scenes: Mapping[str, Scene], names: Sequence[str], others: Sequence[str]) -> list[PredictedImage]:

@@ -16,6 +16,7 @@ from warpsar.compare.comparison import ratio_db
 from warpsar.compare.prediction import THEN, measured_of, predicted, summaries
 from warpsar.diagnosis.held_out.glints import PlacedGlint, on_bodies
 from warpsar.diagnosis.held_out.search import BOXED, FRONT_ERRORS, HeldOut, TrialStep
+from warpsar.diagnosis.known import tension_words
 from warpsar.evaluation.report_parts import beta0_rgb, image_axes, reach_db, residual_rgb, residual_scale
 from warpsar.evaluation.report_prediction import prediction_table
 from warpsar.io import html as report
@@ -74,13 +75,14 @@ def front_words(label: str, step: TrialStep) -> str:
 
 
 def judgement(result: HeldOut) -> list[str]:
-    """How far ahead the model is of each rival, in words."""
+    """How far ahead the model is of each rival, and which numbers leave their tolerances, in words."""
     sentences = [] if result.counting is None else [f"{result.counting.words}; the scene written has them so"]
     sentences += [one.words for one in result.advantages]
     if result.of_box is not None and THEN in result.images[0].predictions:
         sentences[-1] += "; the box was asked before all effects were tried, and is held against the model of that time"
     if result.undecided:
         sentences.append(f"{_unasked(result)}, so no lead is claimed")
+    sentences += [one.words for one in result.pulls if one.alarm]
     return [*sentences, *(front_words(label, step) for label, step in result.fronts.items())]
 
 
@@ -215,14 +217,22 @@ def _profiles(result: HeldOut) -> list[str]:
     if not result.profiles:
         return []
     rows = [
-        [one.label, f"{one.known:.4g} ± {one.known_sd:.2g}", f"{one.value:.4g} ± {one.half:.2g}", one.unit]
+        [
+            one.label,
+            f"{one.known:.4g} ± {one.known_sd:.2g}",
+            f"{one.value:.4g} ± {one.half:.2g}",
+            one.unit,
+            tension_words(one.pull.content()),
+        ]
         for one in result.profiles.values()
     ]
     sentences = (
         "Where the views left out are predicted best, each number moved by itself. ± of what was known is one standard "
-        "deviation; of what was found the 95 % interval by a jackknife over arcs of neighbouring views."
+        "deviation; of what was found the 95 % interval by a jackknife over arcs of neighbouring views. The last "
+        "column: how far from what is known the views left out lead without this tolerance, in standard deviations of "
+        "both together. Beyond 3 a number leaves its tolerance, and where it was found three of the tolerance's away."
     )
-    head = ("number", "known", "found", "unit")
+    head = ("number", "known", "found", "unit", "from what is known")
     return [report.section("Sizes and angles", report.paragraph(sentences), report.table(head, rows))]
 
 

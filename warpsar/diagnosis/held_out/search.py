@@ -56,6 +56,7 @@ from warpsar.diagnosis.held_out.model import (
 from warpsar.diagnosis.models.change import as_declared
 from warpsar.diagnosis.run_log import RunLog
 from warpsar.effects.registry import declared, get, response_of
+from warpsar.learning.pull import Pull
 from warpsar.runtime import console, threads
 from warpsar.runtime.deadline import TimeUp, check, deadline
 from warpsar.scene.scene import Scene
@@ -161,6 +162,11 @@ class HeldOut:
     not_asked: list[str] = field(default_factory=list)
     ended: str = ""
     counting: Counting | None = None
+
+    @property
+    def pulls(self) -> list[Pull]:
+        """The sizes and angles that were moved, beside their tolerances."""
+        return [one.pull for one in self.profiles.values()]
 
     @property
     def of_pictures(self) -> Advantage | None:
@@ -559,13 +565,9 @@ class FoldSearch:
         scene = model.scenes[0]
 
         def traced(one: EffectHypothesis, tables: list[dict[str, Any]]) -> tuple[float, float, dict[str, Any], bool]:
-            some = _spread(ahead, FEWER)
-            coarse = with_few_rays(scene)
-            gains = [
-                self.trained.scores(coarse, some)
-                - self.trained.scores(one.started(coarse, one.trace_of(table), coarse), some)
-                for table in tables
-            ]
+            thin = with_few_rays(scene)
+            scored = partial(self.trained.scores, names=_spread(ahead, FEWER), coarse=True)
+            gains = [scored(thin) - scored(one.started(thin, one.trace_of(table), thin)) for table in tables]
             best = int(np.argmax([gain.mean() for gain in gains]))
             return *mean_and_error(gains[best]), tables[best], False
 
