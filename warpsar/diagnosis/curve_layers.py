@@ -33,11 +33,12 @@ PROBES = (
     *((MAGNETIC_EPS, 2.0 - 2.0j, share) for share in (0.01, 0.03)),
 )
 """eps_r, mu_r, and thickness over the shortest wavelength."""
-AGAIN = 2
+AGAIN = 1
 """How often the likeliest layer becomes a probe."""
-STARTS = 3
+STARTS = 2
 """Of the places of the grid: from so many of the likeliest a fit goes on."""
 _COS = np.linspace(0.04, 1.0, 25)
+_STEPS = 25
 _WALK, _FIRST, _WIDER = 10, 0.02, 1.8  # steps of a profile to a side, the first of them, and how much each grows
 
 
@@ -144,12 +145,15 @@ def layered(part: str, probed: Probed, family: Family, declared: float) -> Mater
         out = float(((u - inside) ** 2).sum())
         return 1e3 * out - 2.0 * fit_each(probed.beside(family.layer(inside, probed.shortest_m)), [MODEL])[1]
 
-    grid = [np.array(u) for u in product(*(np.linspace(low, high, n) for (low, high), n in zip(ends, (8, 4, 4))))]
+    grid = [
+        np.array(u)
+        for u in product(*(np.linspace(low, high, n) for (low, high), n in zip(ends, (7, 3, 3), strict=True)))
+    ]
     starts = sorted(grid, key=loss)[:STARTS]
-    best = min((_least(loss, u) for u in starts), key=loss)
+    best = min((_least(loss, u, ends) for u in starts), key=loss)
     for _ in range(AGAIN):
-        curves = probed.add(family.layer(np.clip(best, *ends.T), probed.shortest_m))
-        best = np.clip(_least(loss, best), *ends.T)
+        probed.add(family.layer(best, probed.shortest_m))
+        best = _least(loss, best, ends)
     curves = probed.add(family.layer(best, probed.shortest_m))
     values = {}
     if -loss(best) > declared:
@@ -159,10 +163,11 @@ def layered(part: str, probed: Probed, family: Family, declared: float) -> Mater
     return MaterialHypothesis(part, family.kind, curves, parameters=ends.shape[0], values=values)
 
 
-def _least(loss: Callable[[NDArray[np.float64]], float], u: NDArray[np.float64]) -> NDArray[np.float64]:
-    simplex = np.vstack([u, u + 0.15 * np.eye(len(u))])
-    options = {"initial_simplex": simplex, "xatol": 1e-3, "fatol": 1e-2, "maxfev": 200}
-    return np.asarray(minimize(loss, u, method="Nelder-Mead", options=options).x)
+def _least(
+    loss: Callable[[NDArray[np.float64]], float], u: NDArray[np.float64], ends: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    options = {"eps": 1e-3, "ftol": 1e-5, "maxiter": _STEPS}
+    return np.asarray(minimize(loss, np.clip(u, *ends.T), method="L-BFGS-B", bounds=ends, options=options).x)
 
 
 def _profile(
@@ -189,11 +194,7 @@ def _profile(
                 made[pivot] = (t - powers[others] @ free) / powers[pivot]
                 return made
 
-            free = minimize(
-                lambda f: loss(whole(f)), u[others], method="Nelder-Mead",
-                options={"initial_simplex": np.vstack([u[others], u[others] + 0.1 * np.eye(len(others))]),
-                         "xatol": 1e-2, "fatol": 5e-2, "maxfev": 60},
-            ).x  # fmt: skip
+            free = _least(lambda f, at=whole: loss(at(f)), u[others], ends[others])  # type: ignore[misc]
             u = whole(free)
             now = float(np.sqrt(max(loss(u) - top, 0.0)))
             if now**2 > TWICE_LOG_LIMIT:
