@@ -8,32 +8,16 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from stack_reference import Stack, reflection
 
 import warpsar
 from warpsar import Scene
 from warpsar.cli.main import main
 from warpsar.errors import InputError
 from warpsar.learning.coordinates import SceneCoordinates
-from warpsar.world.frame import SPEED_OF_LIGHT
 
-Stack = Sequence[tuple[complex, complex, float]]  # eps_r, mu_r, thickness_m from the outermost one inward
 PHI = np.arange(0.0, 60.0, 0.5)
 PLATE = "usemtl sheet\nv 0 -.08 -.05\nv 0 .08 -.05\nv 0 .08 .05\nv 0 -.08 .05\nf 1 2 3\nf 1 3 4\n"
-
-
-def reflection(stack: Stack, metal: bool, frequency_hz: float, across: bool, sin: np.ndarray) -> np.ndarray:
-    """A stack's coefficient by the impedance that one layer hands to the next (Ramo, Whinnery, Van Duzer, ch. 6):
-    `across` with E across the plane of incidence, as in VV of an upright plate in a level sweep."""
-    k = 2.0 * np.pi * frequency_hz / SPEED_OF_LIGHT
-    cos = np.sqrt(1.0 - sin**2)
-    air = 1.0 / cos if across else cos
-    load = np.zeros_like(sin, complex) if metal else air.astype(complex)
-    for eps, mu, thickness in reversed(stack):
-        root = np.sqrt(eps * mu - sin**2 + 0j)
-        own = mu / root if across else root / eps
-        turn = 1j * np.tan(k * thickness * root)
-        load = own * (load + own * turn) / (own + load * turn)
-    return (load - air) / (load + air)
 
 
 def curves_of(folder: Path, stack: Stack, metal: bool, frequencies: Sequence[float], noise: float) -> list[str]:

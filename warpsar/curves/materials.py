@@ -12,8 +12,8 @@ of noise as the declared material does. So they gain nothing by them, and no fre
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -28,7 +28,7 @@ from warpsar.curves.shape import ProfileInterval, profiles
 
 MODEL = "model"
 """The one term of a curve beside a hypothesis: the sum of all that it has."""
-Kind = Literal["declared", "metal", "dielectric", "open"]
+Kind = Literal["declared", "metal", "dielectric", "open", "dielectric layer", "magnetic layer"]
 Outcome = Literal["named", "tied", "refused"]
 ALIKE = 0.01
 """2 ln L: what differs by less is the same, as the mirror images of a body in its plane of symmetry."""
@@ -56,6 +56,8 @@ class MaterialHypothesis:
     """Of an open part: the rest of it sends back what is declared."""
     parameters: int = 0
     """Fitted ones, which the train curves must pay for."""
+    values: Mapping[str, ProfileInterval] = field(default_factory=dict)
+    """Of a layer on metal: what the curves tell of it."""
 
     @property
     def product_m(self) -> float | None:
@@ -81,15 +83,18 @@ class MaterialTest:
     why: str = ""
     product_m: ProfileInterval | None = None
     """Of a sheet: (eps_r - 1) x thickness [m]. `eps_r` is then None."""
+    values: Mapping[str, ProfileInterval] = field(default_factory=dict)
+    """Of a layer on metal, under their names; lengths and products with a length in metres."""
 
     @property
     def words(self) -> str:
         """One sentence."""
         value = ""
-        for told, name, unit in ((self.eps_r, "eps_r", ""), (self.product_m, "(eps_r - 1) x thickness", " m")):
+        layer = [(told, name, " m" * name.endswith("_m")) for name, told in self.values.items()]
+        for told, name, unit in ((self.eps_r, "eps_r", ""), (self.product_m, "(eps_r - 1) x thickness", " m"), *layer):
             if told is not None:
                 ends = f"{told.low:.3g} to {told.high:.3g}{unit}{', the end of what was tried' * told.open}"
-                value = f", {name} {told.value:.3g}{unit} ({ends})"
+                value += f", {name.removesuffix('_m')} {told.value:.3g}{unit} ({ends})"
         return f"{self.part}: {self.kind}{value}: {self.outcome}" + (f", {self.why}" if self.why else "")
 
 
@@ -109,7 +114,7 @@ def opened(hypothesis: MaterialHypothesis, area_m2: Sequence[NDArray[np.float64]
 
 def likelier(first: MaterialHypothesis, second: MaterialHypothesis) -> MaterialHypothesis:
     """Of two, the one that the train curves prefer."""
-    return max((first, second), key=lambda one: _of_train(one, _rows(one)))
+    return max((first, second), key=of_train)
 
 
 def ask_materials(declared: MaterialHypothesis, others: Sequence[MaterialHypothesis]) -> list[MaterialTest]:
@@ -121,6 +126,11 @@ def ask_materials(declared: MaterialHypothesis, others: Sequence[MaterialHypothe
     asked = [_ask(declared, before, group) for group in groups.values()]
     asked.sort(key=lambda pair: -pair[0].whole)
     return _with_ties(asked)
+
+
+def of_train(one: MaterialHypothesis) -> float:
+    """2 ln L of the train curves."""
+    return _of_train(one, _rows(one))
 
 
 def _rows(one: MaterialHypothesis) -> list[NDArray[np.float64]]:
@@ -189,7 +199,7 @@ def _ask(
         why = f"it takes less than {LEAST_DB:g} dB off the noise, which the engine's own error may hold"
     outcome: Outcome = "refused" if why else "named"
     head = chosen.part, chosen.kind, outcome, interval
-    found = MaterialTest(*head, gain, price, tuple(left_out), over, whole, why, product)
+    found = MaterialTest(*head, gain, price, tuple(left_out), over, whole, why, product, dict(chosen.values))
     return found, declared.curves, rows
 
 

@@ -13,11 +13,21 @@ from warpsar.coherent.directions import Directions
 from warpsar.coherent.joints import joints
 from warpsar.coherent.rcs import rcs
 from warpsar.coherent.shape import shape_of
-from warpsar.curves.materials import MODEL, Kind, MaterialHypothesis, MaterialTest, ask_materials, likelier, opened
+from warpsar.curves.materials import (
+    MODEL,
+    Kind,
+    MaterialHypothesis,
+    MaterialTest,
+    ask_materials,
+    likelier,
+    of_train,
+    opened,
+)
 from warpsar.curves.observe import observe
 from warpsar.curves.observed import ObservedCurve
 from warpsar.curves.search import CANDIDATES, DECLARED
 from warpsar.curves.sectors import SEEN
+from warpsar.diagnosis.curve_layers import AGAIN, FAMILIES, PROBES, Probed, coated, layer_of, layered
 from warpsar.runtime import console
 from warpsar.scene.scene import Scene
 from warpsar.world.frame import SPEED_OF_LIGHT
@@ -61,8 +71,18 @@ def ask(
     shortest = _shortest_m(declared.curves)
     wanted = [(name, one) for name in parts for one in _alternatives(scene, name, closed, shortest)]
     cuts = list(_with_lids(scene, declared.curves)) if whole and closed else []  # nobody said where an opening may be
-    bar = console.progress(len(wanted) + len(cuts), "materials", "material")
+    metal = [name for name in parts if scene.materials[name].conductor]
+    each = len(PROBES) + len(FAMILIES) * (AGAIN + 1)
+    bar = console.progress(len(wanted) + len(cuts) + each * len(metal), "materials", "material")
     others = []
+    likeliest = likelier(declared, as_it_stands)  # no material is to win by terms that are not there
+    for name in metal:
+
+        def swept(material: Material, name: str = name) -> tuple[ObservedCurve, ...]:
+            return _curves(replace(scene, materials={**scene.materials, name: material}), cache, device)
+
+        probed = Probed(swept, shortest, bar.update)
+        others += [layered(name, probed, family, of_train(likeliest)) for family in FAMILIES]
     for name, tried in wanted:
         curves = _curves(_changed(scene, name, tried), cache, device)
         one = MaterialHypothesis(name, tried.kind, curves, tried.eps_r, tried.thickness_m)
@@ -78,7 +98,7 @@ def ask(
             others.append(opened(MaterialHypothesis(name, "open", rest, share=share), area))
         bar.update()
     bar.close()
-    return ask_materials(likelier(declared, as_it_stands), others)  # no material is to win by terms that are not there
+    return ask_materials(likeliest, others)
 
 
 def _between(declared: ObservedCurve, gone: ObservedCurve, share: float) -> ObservedCurve:
@@ -107,6 +127,10 @@ def with_material(scene: Scene, found: MaterialTest) -> Scene:
     """The scene in which the part has the material that was named; an opening stays what it was declared."""
     if found.kind == "open":
         return scene
+    if found.values:
+        return replace(
+            scene, materials={**scene.materials, found.part: coated(layer_of(found.kind, dict(found.values)))}
+        )
     if found.product_m is not None:
         tried = TriedMaterial(found.kind, SHEET_EPS, found.product_m.value / (SHEET_EPS - 1.0))
     else:

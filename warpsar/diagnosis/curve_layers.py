@@ -1,0 +1,211 @@
+"""A layer on the metal of a part: the likeliest one beside curves, and what the curves tell of it.
+
+The amplitude of `single` is linear in the two coefficients of reflection, which are functions of the angle to a face.
+So a few sweeps with known layers, `PROBES`, foretell those of every other one: where the coefficients of a layer are a
+sum of the probes' own, with weights that add up to one, its amplitude is the same sum. Ways over several faces are not
+linear, so the likeliest layer is swept itself, becomes a probe, and is sought again beside it. Edges stay those of bare
+metal (docs/coherent-checks.md, "Edges of coated metal").
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from warpsar.curves.materials import MODEL, Kind, MaterialHypothesis
+from warpsar.curves.noise import fit_each
+from warpsar.curves.observed import ObservedCurve
+from warpsar.curves.shape import TWICE_LOG_LIMIT, ProfileInterval
+from warpsar.world.frame import SPEED_OF_LIGHT
+from warpsar.world.tables import Material, MaterialLayer
+
+MAGNETIC_EPS = 8.0
+"""Permittivity of a magnetic layer that is tried, of iron powder in resin: a thin one on metal hardly shows it, since
+the electric field along metal is 0."""
+PROBES = (
+    *((3.0, 1.0, share) for share in (0.02, 0.05, 0.08, 0.12, 0.17, 0.24)),
+    *((9.0 - 3.0j, 1.0, share) for share in (0.02, 0.045, 0.075)),
+    *((MAGNETIC_EPS, 2.0 - 2.0j, share) for share in (0.01, 0.03)),
+)
+"""eps_r, mu_r, and thickness over the shortest wavelength."""
+AGAIN = 1
+"""How often the likeliest layer becomes a probe."""
+STARTS = 2
+"""Of the places of the grid: from so many of the likeliest a fit goes on."""
+_COS = np.linspace(0.04, 1.0, 25)
+_STEPS = 25
+_WALK, _FIRST, _WIDER = 10, 0.02, 1.8  # steps of a profile to a side, the first of them, and how much each grows
+
+
+@dataclass(frozen=True)
+class Family:
+    """Layers of three numbers, the logarithms of which a fit moves: thickness over the shortest wavelength, real part,
+    loss tangent."""
+
+    kind: Kind
+    ends: tuple[tuple[float, float], ...]
+    told: dict[str, tuple[float, ...]]
+    """What is reported, as the powers in a product of the three numbers."""
+
+    def layer(self, u: NDArray[np.float64], shortest_m: float) -> MaterialLayer:
+        thickness, real, tangent = np.exp(u).tolist()
+        value = real, -tangent * real
+        filling = {"eps_r": value} if self.kind == "dielectric layer" else {"eps_r": MAGNETIC_EPS, "mu_r": value}
+        return MaterialLayer(thickness_m=thickness * shortest_m, **filling)  # type: ignore[arg-type]
+
+
+THICKNESS = "thickness_m"
+FAMILIES = (
+    Family(
+        "dielectric layer",
+        ((0.003, 0.3), (1.3, 12.0), (0.003, 1.5)),
+        {"eps_r": (0, 1, 0), "loss tangent": (0, 0, 1), THICKNESS: (1, 0, 0), "sqrt(eps_r) x thickness_m": (1, 0.5, 0)},
+    ),
+    Family(
+        "magnetic layer",
+        ((0.003, 0.08), (1.0, 8.0), (0.03, 4.0)),
+        {THICKNESS: (1, 0, 0), "mu_r x thickness_m": (1, 1, 0), "mu_r loss x thickness_m": (1, 1, 1)},
+    ),
+)
+"""In a thin layer on metal the magnetic field alone is strong, so its curves tell mu_r x thickness, and the loss that
+goes with it. A dielectric one shows from a tenth of a wavelength inside it on, by the phase sqrt(eps_r) x thickness."""
+
+
+def coated(layer: MaterialLayer) -> Material:
+    return Material(conductor=True, layers=(layer,))
+
+
+def layer_of(kind: Kind, values: dict[str, ProfileInterval]) -> MaterialLayer:
+    """The likeliest layer, from what is reported of it."""
+    family = next(one for one in FAMILIES if one.kind == kind)
+    rows = np.array(list(family.told.values()), float)
+    u, *_ = np.linalg.lstsq(rows, np.log([values[name].value for name in family.told]), rcond=None)
+    return family.layer(u, 1.0)
+
+
+def reflections(layer: MaterialLayer | None, frequency_hz: float) -> NDArray[np.complex128]:
+    """Coefficients of a layer on metal over `_COS`, with E across the plane of incidence and in it, (2, n)."""
+    if layer is None:
+        return np.full((2, len(_COS)), -1.0 + 0.0j)
+    eps, mu = (complex(*one) if isinstance(one, tuple) else complex(one) for one in (layer.eps_r, layer.mu_r))
+    root = np.sqrt(eps * mu - 1.0 + _COS**2 + 0j)
+    turn = 1j * np.tan(2.0 * np.pi * frequency_hz / SPEED_OF_LIGHT * layer.thickness_m * root)
+    across, along = mu / root * turn * _COS, root / eps * turn / _COS
+    return np.stack([(across - 1.0) / (across + 1.0), (along - 1.0) / (along + 1.0)])
+
+
+class Probed:
+    """Curves beside any layer on one part, from sweeps of some. `sweep` makes those of a part in one material."""
+
+    def __init__(
+        self, sweep: Callable[[Material], tuple[ObservedCurve, ...]], shortest_m: float, progress: Callable[[], object]
+    ) -> None:
+        self._sweep, self._progress, self.shortest_m = sweep, progress, shortest_m
+        self._curves, self._layers = [sweep(Material(conductor=True))], list[MaterialLayer | None]([None])
+        for eps, mu, share in PROBES:
+            pairs = [(complex(one).real, complex(one).imag) for one in (eps, mu)]
+            self.add(MaterialLayer(eps_r=pairs[0], mu_r=pairs[1], thickness_m=share * shortest_m))
+
+    def add(self, layer: MaterialLayer) -> tuple[ObservedCurve, ...]:
+        """Sweep a layer, and take it for a probe."""
+        self._curves.append(self._sweep(coated(layer)))
+        self._layers.append(layer)
+        self._progress()
+        return self._curves[-1]
+
+    def beside(self, layer: MaterialLayer, role: str = "train") -> list[ObservedCurve]:
+        """The curves of a role beside a layer, as the probes foretell them."""
+        found = []
+        for each in zip(*self._curves, strict=True):
+            if each[0].role == role:
+                first, *others = (one.terms[MODEL] for one in each)
+                apart = np.stack([one - first for one in others], axis=1)
+                found.append(each[0].beside({MODEL: first + apart @ self.weights(layer, each[0].frequency_hz)}))
+        return found
+
+    def weights(self, layer: MaterialLayer, frequency_hz: float) -> NDArray[np.complex128]:
+        """Of the probes but the first, whose weight is what is left of one."""
+        bare, *probes = (reflections(one, frequency_hz).ravel() for one in self._layers)
+        apart = np.stack([one - bare for one in probes], axis=1)
+        return np.linalg.lstsq(apart, reflections(layer, frequency_hz).ravel() - bare, rcond=1e-4)[0]
+
+
+def layered(part: str, probed: Probed, family: Family, declared: float) -> MaterialHypothesis:
+    """The likeliest layer of a family. Where it gains over `declared`, 2 ln L of the train curves, its values have
+    intervals: 2 ln L, with the other values fitted along, falls by 3.84 at their ends."""
+    ends = np.log(np.array(family.ends))
+
+    def loss(u: NDArray[np.float64]) -> float:
+        inside = np.clip(u, *ends.T)
+        out = float(((u - inside) ** 2).sum())
+        return 1e3 * out - 2.0 * fit_each(probed.beside(family.layer(inside, probed.shortest_m)), [MODEL])[1]
+
+    grid = [
+        np.array(u)
+        for u in product(*(np.linspace(low, high, n) for (low, high), n in zip(ends, (7, 3, 3), strict=True)))
+    ]
+    starts = sorted(grid, key=loss)[:STARTS]
+    best = min((_least(loss, u, ends) for u in starts), key=loss)
+    for _ in range(AGAIN):
+        probed.add(family.layer(best, probed.shortest_m))
+        best = _least(loss, best, ends)
+    curves = probed.add(family.layer(best, probed.shortest_m))
+    values = {}
+    if -loss(best) > declared:
+        for name, powers in family.told.items():
+            unit = probed.shortest_m ** powers[0]
+            values[name] = _profile(loss, best, np.array(powers, float), ends, unit)
+    return MaterialHypothesis(part, family.kind, curves, parameters=ends.shape[0], values=values)
+
+
+def _least(
+    loss: Callable[[NDArray[np.float64]], float], u: NDArray[np.float64], ends: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    options = {"eps": 1e-3, "ftol": 1e-5, "maxiter": _STEPS}
+    return np.asarray(minimize(loss, np.clip(u, *ends.T), method="L-BFGS-B", bounds=ends, options=options).x)
+
+
+def _profile(
+    loss: Callable[[NDArray[np.float64]], float],
+    best: NDArray[np.float64],
+    powers: NDArray[np.float64],
+    ends: NDArray[np.float64],
+    unit: float,
+) -> ProfileInterval:
+    """The interval of a product: its logarithm walks to both sides, and the other coordinates are fitted along."""
+    pivot = int(np.argmax(np.abs(powers)))
+    others = np.delete(np.arange(len(best)), pivot)
+    top, centre = loss(best), float(powers @ best)
+    reach = np.sort((powers[:, None] * ends), axis=1).sum(axis=0)
+    found, is_open = [], False
+    for sign in (-1.0, 1.0):
+        inner, fall, step, u = centre, 0.0, _FIRST, best
+        for _ in range(_WALK):
+            t = float(np.clip(inner + sign * step, *reach))
+
+            def whole(free: NDArray[np.float64], t: float = t) -> NDArray[np.float64]:
+                made = np.empty(len(best))
+                made[others] = free
+                made[pivot] = (t - powers[others] @ free) / powers[pivot]
+                return made
+
+            free = _least(lambda f, at=whole: loss(at(f)), u[others], ends[others])  # type: ignore[misc]
+            u = whole(free)
+            now = float(np.sqrt(max(loss(u) - top, 0.0)))
+            if now**2 > TWICE_LOG_LIMIT:
+                inner += (np.sqrt(TWICE_LOG_LIMIT) - fall) / (now - fall) * (t - inner)
+                break
+            if t in reach:
+                inner, is_open = t, True
+                break
+            inner, fall, step = t, now, step * _WIDER
+        else:
+            is_open = True
+        found.append(inner)
+    low, high = (float(np.exp(end)) * unit for end in found)
+    return ProfileInterval(float(np.exp(centre)) * unit, low, high, is_open)
