@@ -112,8 +112,9 @@ class Diagnosed:
     both. `reasons`: what speaks against an all-clear, a sentence each.
     `place`: the strongest window of what is left at the end; `left`: what is left altogether. `alternatives`: rivals
     that the data do not decide against, and which measurement would. `not_established`: names of the final model that
-    are not earned, and why. `leaving`: values that leave the tolerance to which the scene knows them. `doubts`: why values of surfaces and effects mean little, whatever the images say: they lie
-    on bounds, or outside the domain of their model.
+    are not earned, and why. `leaving`: values that leave the tolerance to which the scene knows them. `doubts`: why
+    values of surfaces and effects mean little, whatever the images say: they lie on bounds, or outside the domain of
+    their model.
     """
 
     diagnosis: Diagnosis
@@ -247,7 +248,19 @@ def judged(diagnosis: Diagnosis) -> Diagnosed:
     problem, x = diagnosis.final.problem, diagnosis.final.x
     little = doubts(problem, x, {}, outside_domains(problem, x))
     return Diagnosed(
-        diagnosis, models, speckle, verdicts, reasons, own_numbers, foretold, where, left, alternatives, doubted, little, leaving
+        diagnosis,
+        models,
+        speckle,
+        verdicts,
+        reasons,
+        own_numbers,
+        foretold,
+        where,
+        left,
+        alternatives,
+        doubted,
+        little,
+        leaving,
     )
 
 
