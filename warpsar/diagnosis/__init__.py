@@ -4,6 +4,7 @@ The files, the outermost first:
 
 command.py          the command
 curves.py           which terms and materials measured curves of RCS show
+curve_layers.py     a layer on the metal of a part: the likeliest one, and what curves tell of it
 curve_materials.py  the materials that parts of a body may have, and the curves beside such bodies
 result.py           `diagnose`, and its result on all views
 single_views.py     the angle of a test view, which no train view can tell
