@@ -6,6 +6,7 @@ command.py          the command
 curve_command.py    the command on curves of RCS
 curve_folds.py      frequencies of curves that are held back in turn
 curves.py           which terms and materials measured curves of RCS show
+curve_layers.py     a layer on the metal of a part: the likeliest one, and what curves tell of it
 curve_materials.py  the materials that parts of a body may have, and the curves beside such bodies
 result.py           `diagnose`, and its result on all views
 single_views.py     the angle of a test view, which no train view can tell

@@ -15,7 +15,7 @@ from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
+from scipy.optimize import Bounds, minimize
 
 from warpsar.curves.materials import MODEL, Kind, MaterialHypothesis
 from warpsar.curves.noise import fit_each
@@ -132,7 +132,7 @@ class Probed:
         """Of the probes but the first, whose weight is what is left of one."""
         bare, *probes = (reflections(one, frequency_hz).ravel() for one in self._layers)
         apart = np.stack([one - bare for one in probes], axis=1)
-        return np.linalg.lstsq(apart, reflections(layer, frequency_hz).ravel() - bare, rcond=1e-4)[0]
+        return np.asarray(np.linalg.lstsq(apart, reflections(layer, frequency_hz).ravel() - bare, rcond=1e-4)[0])
 
 
 def layered(part: str, probed: Probed, family: Family, declared: float) -> MaterialHypothesis:
@@ -167,7 +167,7 @@ def _least(
     loss: Callable[[NDArray[np.float64]], float], u: NDArray[np.float64], ends: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     options = {"eps": 1e-3, "ftol": 1e-5, "maxiter": _STEPS}
-    return np.asarray(minimize(loss, np.clip(u, *ends.T), method="L-BFGS-B", bounds=ends, options=options).x)
+    return np.asarray(minimize(loss, np.clip(u, *ends.T), method="L-BFGS-B", bounds=Bounds(*ends.T), options=options).x)
 
 
 def _profile(
