@@ -14,7 +14,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import resource
 import shutil
 import subprocess
 import sys
@@ -60,8 +59,10 @@ def stand_in(words: list[str]) -> int:
     """Run one command of warpsar, and append what it cost to the log. Returns its exit status."""
     begun = time.perf_counter()
     device = os.environ[DEVICE]
-    code = subprocess.run([sys.executable, "-m", "warpsar", *words, "--device", device], check=False).returncode
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    run = subprocess.Popen([sys.executable, "-m", "warpsar", *words, "--device", device])
+    # of this child alone: a shell becomes the last of its commands, and then has had other children
+    _, status, used = os.wait4(run.pid, 0)
+    code = run.returncode = os.waitstatus_to_exitcode(status)
     row = {
         "command": label(words),
         "exit_status": code,
