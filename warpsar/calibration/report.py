@@ -67,7 +67,7 @@ def write_report(
     """`content` is that of reflectors.json, `command` the words that made it."""
     sites = dict.fromkeys(one.site.name for one in observations)
     dates = {str(one.date)[:10] for one in observations}
-    lead = f"warpsar reflectors {content['version']}; reflectors {len(sites)}, dates {len(dates)}"
+    summary = f"warpsar reflectors {content['version']}; reflectors {len(sites)}, dates {len(dates)}"
     sections = [
         _summary(observations, explanation, placed, content, held_back),
         _series(observations, explanation, held_back),
@@ -78,7 +78,7 @@ def write_report(
         _table(observations),
         report.reproduce(content, list(command) or ["warpsar", "reflectors"], f"Beside this file: {beside}."),
     ]
-    report.write(path, report.page(title, lead, *(each for each in sections if each)))
+    report.write(path, report.page(title, summary, *(each for each in sections if each)))
 
 
 def _summary(

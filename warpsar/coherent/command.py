@@ -104,9 +104,9 @@ def run(
     fixed = held(scene.materials, scene.radar.frequency_hz, frequency or ())
     console.warn((*scene.warnings, *fixed, *asked.cautions))
     with busy("estimating time and memory"):
-        told = forecast(scene, asked, layers)
-    if told is not None:
-        console.say(str(told))
+        expected = forecast(scene, asked, layers)
+    if expected is not None:
+        console.say(str(expected))
     found = swept(scene, asked, layers)
     console.warn(found.warnings[len(asked.cautions) :])
     files = ["report.html", "rcs.csv", "rcs.png", "rcs_polar.png", "rcs.json"]

@@ -39,7 +39,7 @@ from warpsar.simulation.outputs import make_folder, refuse_unlikely_size, write_
 from warpsar.simulation.rays import trace_view, view_seed
 from warpsar.surface.stage import Stage
 
-WIDE_BAND, SAID_DB = 0.06, 0.5
+WIDE_BAND, STATED_DB = 0.06, 0.5
 """Share of the middle frequency from which a band's amplitudes are looked at, and the error at its ends that is said:
 even an amplitude that goes as the frequency squared, as of small roughness, changes by less in a narrower band."""
 ALIASED = 0.01
@@ -179,7 +179,7 @@ def _warned_of_band(bodies: Bodies, plan: Plan) -> Iterator[None]:
     yield
     if plan.bandwidth_hz > WIDE_BAND * plan.centre_hz:
         error = band_error_db(bodies.world, plan, bodies.of(plan))
-        if error > SAID_DB:
+        if error > STATED_DB:
             share = 100.0 * plan.bandwidth_hz / plan.centre_hz
             console.warn(
                 [

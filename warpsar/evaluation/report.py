@@ -51,14 +51,14 @@ def write_report(
     device: wp.Device,
     *,
     before: Evaluation | None = None,
-    told: Sequence[PredictedImage] = (),
+    predicted: Sequence[PredictedImage] = (),
     laid: Sequence[BesideMean] = (),
     identified: Identified | None = None,
     title: str = "",
     beside: str = "evaluate.json (all numbers), residual images as EXR and PNG, learned.ply",
 ) -> None:
     """`by_factor` and `expected` are `profiles` and `expected_db` of the images. `content` is that of evaluate.json or
-    learn.json, `command` the words that made it. `before` is another model of the same images. `told`: test views
+    learn.json, `command` the words that made it. `before` is another model of the same images. `predicted`: test views
     beside predictions of them, and `laid`, beside the mean of train views on the ground. `identified`: what a fit said
     of the parameters, where there was one; else it is found here. `title` takes the place of the verdict, which follows
     it then. `beside` names the other files."""
@@ -68,7 +68,7 @@ def write_report(
     else:
         words = _undetermined(identified, scene)
     verdict = verdict_sentence(Path(scene.path or "the scene").name, found)
-    lead = (
+    summary = (
         f"{' '.join(command[:2])} {content['version']}; {_curves_and(found)}{len(found.images)} images of "
         f"{scene.grid.shape[0]} x {scene.grid.shape[1]} pixels, {content['rays_per_pixel']:.3g} rays per pixel, on "
         f"{content['device']}"
@@ -77,7 +77,7 @@ def write_report(
         *([report.paragraph(verdict)] if title else []),
         first_pictures(scene, found, before),
         summary_section(scene, found, before),
-        *([prediction_section(told)] if told else []),
+        *([prediction_section(predicted)] if predicted else []),
         *([means_section(laid)] if laid else []),
         images_section(scene, stage, found, before),
         *_curves_sections(found, before),
@@ -92,7 +92,7 @@ def write_report(
             f"Beside this file: {beside}.",
         ),
     ]
-    report.write(path, report.page(title or verdict, lead, *sections))
+    report.write(path, report.page(title or verdict, summary, *sections))
 
 
 def _curves_and(found: Evaluation) -> str:
@@ -135,8 +135,8 @@ def tables_section(content: Mapping[str, Any]) -> list[str]:
         "incidences seen, a table stays as given."
     )
     figures = [
-        report.drawing(figure_of_table(name, told), f"sigma0 of {name} over local incidence, before and after")
-        for name, told in tables.items()
+        report.drawing(figure_of_table(name, of_incidence), f"sigma0 of {name} over local incidence, before and after")
+        for name, of_incidence in tables.items()
     ]
     return [
         report.section("Learned tables of sigma0", report.paragraph(said), report.row(*figures, across=2, least_px=300))

@@ -105,11 +105,11 @@ def write_curves_report(
 ) -> None:
     """The page of a scene that has curves and no images. `content` is that of the command's JSON, `words` what it
     found."""
-    lead = f"{' '.join(command[:2])} {content['version']}; {len(curves)} curves, on {content['device']}"
+    summary = f"{' '.join(command[:2])} {content['version']}; {len(curves)} curves, on {content['device']}"
     found = [report.section("In short", *map(report.paragraph, words))] if words else []
     sections = [
         *found,
         curves_section(curves, verdicts, before),
         report.reproduce(dict(content), command, f"Beside this file: {beside}."),
     ]
-    report.write(path, report.page(title, lead, *sections))
+    report.write(path, report.page(title, summary, *sections))

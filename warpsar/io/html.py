@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 ASSETS = Path(__file__).parent / "assets"
 
 
-def page(title: str, lead: str, *sections: str) -> str:
-    """The whole document; `title` and `lead` are plain text. The script that enlarges pictures is inside."""
+def page(title: str, summary: str, *sections: str) -> str:
+    """The whole document; `title` and `summary` are plain text. The script that enlarges pictures is inside."""
     style, panzoom, script = (
         (ASSETS / name).read_text("utf-8") for name in ("report.css", "panzoom.min.js", "report.js")
     )
@@ -34,7 +34,7 @@ def page(title: str, lead: str, *sections: str) -> str:
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f"<title>{escape(title)}</title>\n<style>{style}</style>\n</head>\n<body>\n"
-        f'<h1>{escape(title)}</h1>\n<p class="quiet">{escape(lead)}</p>\n'
+        f'<h1>{escape(title)}</h1>\n<p class="quiet">{escape(summary)}</p>\n'
         + "\n".join(sections)
         + f"\n<script>{panzoom}</script>\n<script>{script}</script>\n</body>\n</html>\n"
     )

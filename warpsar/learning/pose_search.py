@@ -197,7 +197,7 @@ def find_poses(
     along, as in `PosedProblem`. `values`: tables and learned terms to fit along. Raises InputError where nothing of the
     geometry is to be learned, and for views without images.
     """
-    begun = search_poses(
+    approaching = search_poses(
         scene,
         device,
         views=views,
@@ -209,7 +209,7 @@ def find_poses(
         smooth=smooth,
         values=values,
     )
-    return begun.finish()
+    return approaching.finish()
 
 
 def search_poses(

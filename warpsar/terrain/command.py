@@ -270,7 +270,7 @@ def _written(
     command: Sequence[str],
 ) -> dict[str, Any]:
     """One view's files, and its JSON's content. `inputs`: what was read beside the product."""
-    said, against, differs = summary(found), compared(found), differences(found)
+    twin_summary, against, differs = summary(found), compared(found), differences(found)
     layers: dict[str, Callable[[], None]] = {}
     for one in dict.fromkeys(formats):
         layers |= files.writers(found, out, one)
@@ -293,16 +293,16 @@ def _written(
         "map_shape": list(next(iter(found.map.values())).shape),
         "blocks": found.forecast.blocks,
         "forecast": found.forecast.content(),
-        **said.content(),
+        **twin_summary.content(),
         "comparison": against.content() if isinstance(against, TerrainComparison) else against,
         "differences": differs.content() if isinstance(differs, TerrainDifferences) else differs,
         "files": [*written, "report.html"],
         "settings": settings,
     }
     content = write_json(out / "twin.json", None, where, None, started, content)
-    write_report(out / "report.html", said, against, differs, {name: out / name for name in drawn}, content, command)
+    write_report(out / "report.html", twin_summary, against, differs, {name: out / name for name in drawn}, content, command)
     console.say_written(out, "report.html", "twin.json", *written)
-    print("\n".join([*said.words, *words_of(against), *words_of(differs)]))
+    print("\n".join([*twin_summary.words, *words_of(against), *words_of(differs)]))
     return content
 
 
@@ -408,7 +408,7 @@ LIMITS = (
 
 def write_report(
     path: Path,
-    said: TwinSummary,
+    twin_summary: TwinSummary,
     against: TerrainComparison | str | None,
     differs: TerrainDifferences | str | None,
     drawn: Mapping[str, Path],
@@ -433,7 +433,7 @@ def write_report(
         if rows:
             differences.append(report.table(columns, rows, "Chosen in half of the squares, confirmed in the other"))
         differences += [report.paragraph(f"Asked: {', '.join(differs.asked)}.")]
-    rows = [[one.name, one.unit, *(f"{value:.4g}" for value in one.percentiles), one.words] for one in said.layers]
+    rows = [[one.name, one.unit, *(f"{value:.4g}" for value in one.percentiles), one.words] for one in twin_summary.layers]
     columns = ["layer", "unit", "5 %", "median", "95 %", "what it is"]
     names = (
         *("platform", "polarization", "look_side", "elevation_model", "vertical_datum", "surfaces"),
@@ -442,7 +442,7 @@ def write_report(
     facts = [("frequency", f"{content['frequency_hz'] / 1e9:.4g} GHz")]
     facts += [(name.replace("_", " "), str(content[name])) for name in names]
     sections = [
-        report.section("In short", *(report.paragraph(_sentence(each)) for each in said.words)),
+        report.section("In short", *(report.paragraph(_sentence(each)) for each in twin_summary.words)),
         *([report.section("Measured beside simulated", *compared)] if compared else []),
         *([report.section("What differs", *differences)] if differences else []),
         report.section("Pictures", *pictures.values()),
