@@ -176,9 +176,9 @@ def scene_of(
     mesh = replace(mesh, vertices=UNITS[unit] * mesh.vertices)
     made = Material(conductor=True) if material == METAL else surface(material, frequency_hz[-1])
     radar = Radar(frequency_hz=frequency_hz[-1], polarizations=("HH", "VV"))
-    said = tuple(f"{path}: {warning}" for warning in mesh.warnings)
+    warnings = tuple(f"{path}: {warning}" for warning in mesh.warnings)
     named = dict.fromkeys(mesh.materials, made)
-    scene = Scene(mesh=mesh, radar=radar, grid=NO_IMAGE, materials=named, views=[], mesh_path=path, warnings=said)
+    scene = Scene(mesh=mesh, radar=radar, grid=NO_IMAGE, materials=named, views=[], mesh_path=path, warnings=warnings)
     return scene, unit, guess
 
 

@@ -170,7 +170,7 @@ def _stream(bodies: Bodies, plan: Plan, *, once: bool = False, rough: bool = Tru
         yield found
     if not found.count and rough:
         console.warn([f"{name}: nothing sends back; radar.terms are {', '.join(bodies.world.radar.terms)}"])
-    console.warn(f"{name}: {told}" for told in wide_tubes(found.tally))
+    console.warn(f"{name}: {warning}" for warning in wide_tubes(found.tally))
 
 
 @contextmanager
@@ -238,9 +238,9 @@ def run(
     bodies = Bodies(scene, plans, where, scene.seed(seed), room.together, room.tile_bytes)
     load_kernels(where)
     with busy("estimating time and memory"):
-        told = forecast(bodies, plans, product)
-    if told is not None:
-        console.say(str(told))
+        expected = forecast(bodies, plans, product)
+    if expected is not None:
+        console.say(str(expected))
     write = _phase_history if product == "phase-history" else _slc
     entries = [write(bodies, plan, index, out) for index, plan in enumerate(plans)]
     content = {"product": product, "warnings": warnings, "views": entries}

@@ -108,7 +108,7 @@ def _curves_sections(found: Evaluation, before: Evaluation | None) -> list[str]:
 
 
 def _residuals_section(by_factor: dict[str, FactorProfile], expected: dict[str, float]) -> str:
-    said = (
+    text = (
         "The residual of all compared pixels against what might explain it; the mean that speckle has in dB is taken "
         "off. Where the model is true, the blue band lies on the grey one. A slope is a hint at what is missing."
     )
@@ -118,7 +118,7 @@ def _residuals_section(by_factor: dict[str, FactorProfile], expected: dict[str, 
         if profile.rows
     ]
     return report.section(
-        "What the residual follows", report.paragraph(said), report.row(*cells, across=3, least_px=300)
+        "What the residual follows", report.paragraph(text), report.row(*cells, across=3, least_px=300)
     )
 
 
@@ -130,7 +130,7 @@ def tables_section(content: Mapping[str, Any]) -> list[str]:
     tables = content.get("learned_tables", {})
     if not tables:
         return []
-    said = (
+    text = (
         "What the images changed of the tables. Bands are 95 % intervals, if the model is right. Away from the "
         "incidences seen, a table stays as given."
     )
@@ -139,7 +139,7 @@ def tables_section(content: Mapping[str, Any]) -> list[str]:
         for name, of_incidence in tables.items()
     ]
     return [
-        report.section("Learned tables of sigma0", report.paragraph(said), report.row(*figures, across=2, least_px=300))
+        report.section("Learned tables of sigma0", report.paragraph(text), report.row(*figures, across=2, least_px=300))
     ]
 
 
@@ -240,11 +240,11 @@ def _undetermined(identified: Identified, scene: Scene) -> list[str]:
     if not identified.undetermined:
         return [report.paragraph("Every value that is learned is determined by itself.")]
     curves = ", and of the noise of the train curves," if any(one.role == "train" for one in scene.curves) else ""
-    said = (
+    text = (
         f"From the Fisher information of the train views' speckle{curves} at these parameters: relative standard "
         "deviations, and the products (*) and ratios (/) that the data determine where single values are not."
     )
-    return [report.bullets(identified.undetermined), report.paragraph(said, quiet=True)]
+    return [report.bullets(identified.undetermined), report.paragraph(text, quiet=True)]
 
 
 def field_words(folder: Path | None) -> list[str]:
@@ -314,8 +314,8 @@ def parameters_section(scene: Scene, stage: Stage, identified: Identified | None
     caption = "In brackets: 95 % intervals" if identified is not None else ""
     blocks = [report.table(["material", *(shown_as(kind.key)[0] for kind in KINDS)], rows, caption)]
     if scene.effects:
-        said = [[name, stated(table)] for name, table in scene.effects.items()]
-        blocks.append(report.table(["declared effect", "parameters"], said))
+        declared_rows = [[name, stated(table)] for name, table in scene.effects.items()]
+        blocks.append(report.table(["declared effect", "parameters"], declared_rows))
     bare = np.array([not registry.get(model).of_surface for model in surface.model])
     sides = both_sides(stage, INCIDENCE_DEG)
     chosen = [k for k in KINDS if any(b.learn for b in surface.blocks if b.kind is k)] or list(KINDS[:3])

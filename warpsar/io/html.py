@@ -92,8 +92,8 @@ def table(
         + "</tr>"
         for row in rows
     )
-    said = f"<caption><span>{escape(caption)}</span></caption>" if caption else ""  # the span is as wide as the page
-    return f'<div class="wide"><table>{said}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
+    text = f"<caption><span>{escape(caption)}</span></caption>" if caption else ""  # the span is as wide as the page
+    return f'<div class="wide"><table>{text}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
 
 
 @dataclass(frozen=True)
@@ -154,8 +154,8 @@ def drawing(figure: Figure, caption: str, *, show: bool = True) -> str:
 
 
 def _figure(uri: str, caption: str, kind: str, *, show: bool = True) -> str:
-    said = f"<figcaption>{escape(caption)}</figcaption>" if show else ""
-    return f'<figure><img class="{kind}" src="{uri}" alt="{escape(caption, quote=True)}">{said}</figure>'
+    text = f"<figcaption>{escape(caption)}</figcaption>" if show else ""
+    return f'<figure><img class="{kind}" src="{uri}" alt="{escape(caption, quote=True)}">{text}</figure>'
 
 
 def data_uri(content: bytes, kind: str) -> str:
