@@ -24,15 +24,14 @@ PYTHON = re.compile(r"^```python\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 DIRECTIVE = re.compile(r"^\.\. auto\w+:: (warpsar[\w.]+)$", re.MULTILINE)
 
 
-ASSIGNMENT = ast.Assign | ast.AnnAssign
 METAPHORS = {"bench", "course", "lead", "door", "told", "said", "heard", "begun"}
 """Words that say nothing of SAR, nor of what a function does."""
 
 
 @cache
 def defined() -> list[tuple[Path, str, bool]]:
-    """Every class, function and module of the house, every field of a class and constant of a module: where, its name,
-    and whether it is a class."""
+    """Every class, function and module of the house, every argument and variable: where, its name, and whether it is a
+    class."""
     found = []
     for folder in ("warpsar", "kernels", "cli"):
         for path in sorted((ROOT / folder).rglob("*.py")):
@@ -40,16 +39,11 @@ def defined() -> list[tuple[Path, str, bool]]:
             for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
                 if isinstance(node, ast.ClassDef | ast.FunctionDef):
                     found.append((path, node.name, isinstance(node, ast.ClassDef)))
-                if isinstance(node, ast.ClassDef | ast.Module):
-                    found += [(path, name, False) for each in node.body for name in bound(each)]
+                elif isinstance(node, ast.arg):
+                    found.append((path, node.arg, False))
+                elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+                    found.append((path, node.id, False))
     return found
-
-
-def bound(statement: ast.stmt) -> list[str]:
-    """The names that an assignment binds, private ones left out."""
-    targets = getattr(statement, "targets", None) or [getattr(statement, "target", None)]
-    names = [each.id for each in targets if isinstance(each, ast.Name)] if isinstance(statement, ASSIGNMENT) else []
-    return [name for name in names if not name.startswith("_")]
 
 
 def test_a_public_class_has_its_name_alone() -> None:

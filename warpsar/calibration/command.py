@@ -321,9 +321,9 @@ def run(
     counted = [one.status == "measured" for one in result.observations]
     names, images = {one.site.name for one in result.observations}, {one.source for one in result.observations}
     measured = f"{int(np.sum(counted))} of {len(counted)} measured: reflectors {len(names)}, images {len(images)}"
-    said = [one.words for one in result.found] + [one.words for one in result.presence]
+    sentences = [one.words for one in result.found] + [one.words for one in result.presence]
     foretold = () if result.held_back is None else result.held_back.words
-    print("\n".join([measured, *said, *result.explanation.words, *foretold]))
+    print("\n".join([measured, *sentences, *result.explanation.words, *foretold]))
     return content
 
 

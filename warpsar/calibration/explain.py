@@ -142,17 +142,17 @@ def explain(observations: Sequence[ReflectorObservation]) -> Explanation:
 
 def _turned_away(observations: Sequence[ReflectorObservation]) -> list[str]:
     """A line for each reflector that is measured while its stated attitude hides its inside from the radar."""
-    said: dict[str, str] = {}
+    texts: dict[str, str] = {}
     for one in observations:
         if one.status != "measured" or one.facing is None or one.expected is None or one.predicted_m2:
             continue
-        said.setdefault(
+        texts.setdefault(
             one.site.name,
             f"{one.site.name} is measured and not predicted: by its table it faces azimuth {one.facing.azimuth_deg:g} "
             f"degrees, clockwise from north, while the radar stands at {one.expected.azimuth_deg:.0f} and sees no "
             "inside. From where does that azimuth count?",
         )
-    return list(said.values())
+    return list(texts.values())
 
 
 def alone(every: Trials, early: Trials | None, late: Differences | None) -> list[FittedCause]:

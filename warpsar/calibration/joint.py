@@ -673,12 +673,12 @@ def together_words(found: JointFit, unit: str = "dB") -> list[str]:
         words.append(f"{one.cause.title} ({values_words(one.cause, one.values, one.low, one.high)}; {tested})")
     spread = f"{found.scatter.value:.2f} {unit} are left from value to value"
     spread += f", {found.scatter.image:.2f} {unit} from image to image" if found.scatter.image else ""
-    told = ["Together: " + "; ".join(words) + f". {spread}."]
+    sentences = ["Together: " + "; ".join(words) + f". {spread}."]
     for name in dict.fromkeys(stand.cause for stand in found.stands):
         by: dict[str, list[str]] = {}
         for stand in found.stands:
             if stand.cause == name:
                 by.setdefault(stand.decided_by or "nothing that is known", []).append(stand.other)
         others = "; ".join(f"{', '.join(some)} (decided by {what})" for what, some in by.items())
-        told.append(f"For {name} could stand: {others}.")
-    return told
+        sentences.append(f"For {name} could stand: {others}.")
+    return sentences

@@ -67,7 +67,7 @@ def write_report(
     """`content` is that of reflectors.json, `command` the words that made it."""
     sites = dict.fromkeys(one.site.name for one in observations)
     dates = {str(one.date)[:10] for one in observations}
-    lead = f"warpsar reflectors {content['version']}; reflectors {len(sites)}, dates {len(dates)}"
+    summary = f"warpsar reflectors {content['version']}; reflectors {len(sites)}, dates {len(dates)}"
     sections = [
         _summary(observations, explanation, placed, content, held_back),
         _series(observations, explanation, held_back),
@@ -78,7 +78,7 @@ def write_report(
         _table(observations),
         report.reproduce(content, list(command) or ["warpsar", "reflectors"], f"Beside this file: {beside}."),
     ]
-    report.write(path, report.page(title, lead, *(each for each in sections if each)))
+    report.write(path, report.page(title, summary, *(each for each in sections if each)))
 
 
 def _summary(
@@ -88,9 +88,9 @@ def _summary(
     content: dict[str, Any],
     held_back: Forecast | None,
 ) -> str:
-    said = [str(one["words"]) for one in (*content.get("found", ()), *content.get("presence", ()))]
+    sentences = [str(one["words"]) for one in (*content.get("found", ()), *content.get("presence", ()))]
     foretold = () if held_back is None else held_back.words
-    words = [report.paragraph(each) for each in (*said, *explanation.words, *foretold)]
+    words = [report.paragraph(each) for each in (*sentences, *explanation.words, *foretold)]
     if placed is not None:
         words.append(report.paragraph(placed.words))
         if placed.moved:
@@ -128,21 +128,21 @@ def _series(observations: Sequence[ReflectorObservation], explanation: Explanati
         report.drawing(series_figure(some, explanation, held_back), f"{name}: RCS over time")
         for name, some in list(by_site.items())[:MOST_SITES]
     ]
-    said = (
+    text = (
         "Bars are 90 % intervals of clutter and noise. A short line is the prediction for the look of that date. A "
         "cross marks a bad date, a triangle the upper bound where nothing stands out of the clutter."
     )
     if held_back is not None:
-        said += f" From {held_back.since} on, wide grey bars are what the earlier dates foretell with 90 %."
+        text += f" From {held_back.since} on, wide grey bars are what the earlier dates foretell with 90 %."
     return report.section(
-        "RCS over time", report.paragraph(said, quiet=True), report.row(*drawn, across=2, least_px=340)
+        "RCS over time", report.paragraph(text, quiet=True), report.row(*drawn, across=2, least_px=340)
     )
 
 
 def _held_back(found: Forecast | None) -> str:
     if found is None or not found.values:
         return ""
-    said = (
+    text = (
         "Places, set-up dates, bad dates and causes are found from the earlier dates alone. Causes together, each "
         "cause alone, and both rivals foretell the later values; they are averaged by their odds. The last two "
         "columns are the rival's: the mean level of this reflector and pass."
@@ -163,7 +163,7 @@ def _held_back(found: Forecast | None) -> str:
         "id", "date", "RCS [dBsm]", "foretold [dBsm]", "90 % interval", "inside", "by a level alone", "inside",
     ]  # fmt: skip
     return report.section(
-        f"Held back: dates from {found.since} on", report.paragraph(said, quiet=True), report.table(columns, rows)
+        f"Held back: dates from {found.since} on", report.paragraph(text, quiet=True), report.table(columns, rows)
     )
 
 
@@ -178,13 +178,13 @@ def _together(explanation: Explanation) -> str:
         held += f" ± {one.held_error:.1f}" if one.held_error is not None and np.isfinite(one.held_error) else ""
         words = values_words(one.cause, one.values, one.low, one.high)
         rows.append([one.cause.title, words, f"{one.gain:+.1f}", held])
-    said = (
+    text = (
         "Causes are added one after the other while the earlier dates need them and the later ones, which do not "
         "choose, become more likely; each is then asked again beside the others. Intervals of 90 % let the other "
         "causes move, and hold all that could stand for them. Of the scatter that is left, "
         f"{found.scatter.value:.2f} dB are of each value and {found.scatter.image:.2f} dB of each image."
     )
-    blocks = [report.paragraph(said, quiet=True)]
+    blocks = [report.paragraph(text, quiet=True)]
     if rows:
         later = f"ln L of the {found.held_dates} later dates" if found.held_dates else "ln L of later dates"
         blocks.append(
@@ -234,13 +234,13 @@ def _causes(explanation: Explanation) -> str:
         for one in explanation.tied
     ]
     bad = [f"{one.site}, {one.date}: {one.words}" for one in explanation.bad_dates]
-    said = (
+    text = (
         "Each cause alone, at its best, with 90 % intervals; the values of bad dates are left out. BIC counts misfit "
         "and parameters: 4.6 more is odds of 1 to 10. The last column is how likely the later third of the dates is "
         "under a fit to the earlier ones; higher is better."
     )
     columns = ["cause", "at its best", "left per date [dB]", "BIC over the best", "later dates [log-likelihood each]"]
-    blocks = [report.paragraph(said, quiet=True), report.table(columns, rows, "", (0, 1))]
+    blocks = [report.paragraph(text, quiet=True), report.table(columns, rows, "", (0, 1))]
     if tied:
         blocks += [report.heading("What cannot be told apart here, and what would decide"), report.bullets(tied)]
     if bad:
@@ -268,13 +268,13 @@ def _cutouts(observations: Sequence[ReflectorObservation]) -> str:
             cells.append(image(report.png(grey), f"{name}: {what}", *axes))
         cells.append(image(report.png(report.colour(ratio, "RdBu_r", -15.0, 15.0)), f"{name}: residual", *axes))
     keys = report.beta0_scale(scale) + report.scale("RdBu_r", ["−15", "0", "+15 dB"], "measured / predicted")
-    said = (
+    text = (
         "The prediction is the response of the stated bandwidth with the predicted RCS at the place that was found, in "
         "clutter of the mean level; of a date at which no reflector stands, clutter alone. Without a prediction it has "
         "the measured RCS. Speckle scatters the residual, further to weak than to strong, so that clutter looks blue."
     )
     return report.section(
-        "Cut-outs", report.paragraph(said, quiet=True), keys, report.row(*cells, across=6, least_px=120)
+        "Cut-outs", report.paragraph(text, quiet=True), keys, report.row(*cells, across=6, least_px=120)
     )
 
 

@@ -104,9 +104,9 @@ def run(
     fixed = held(scene.materials, scene.radar.frequency_hz, frequency or ())
     console.warn((*scene.warnings, *fixed, *asked.cautions))
     with busy("estimating time and memory"):
-        told = forecast(scene, asked, layers)
-    if told is not None:
-        console.say(str(told))
+        expected = forecast(scene, asked, layers)
+    if expected is not None:
+        console.say(str(expected))
     found = swept(scene, asked, layers)
     console.warn(found.warnings[len(asked.cautions) :])
     files = ["report.html", "rcs.csv", "rcs.png", "rcs_polar.png", "rcs.json"]
@@ -176,9 +176,9 @@ def scene_of(
     mesh = replace(mesh, vertices=UNITS[unit] * mesh.vertices)
     made = Material(conductor=True) if material == METAL else surface(material, frequency_hz[-1])
     radar = Radar(frequency_hz=frequency_hz[-1], polarizations=("HH", "VV"))
-    said = tuple(f"{path}: {warning}" for warning in mesh.warnings)
+    warnings = tuple(f"{path}: {warning}" for warning in mesh.warnings)
     named = dict.fromkeys(mesh.materials, made)
-    scene = Scene(mesh=mesh, radar=radar, grid=NO_IMAGE, materials=named, views=[], mesh_path=path, warnings=said)
+    scene = Scene(mesh=mesh, radar=radar, grid=NO_IMAGE, materials=named, views=[], mesh_path=path, warnings=warnings)
     return scene, unit, guess
 
 

@@ -63,7 +63,7 @@ def contributors(
     radars = upload(records_of, tubes.TubeRadar, body.device)
     chosen = [POLARIZATIONS.index(name) for name in radar.polarizations]
     faces = _of_faces(worker, asked, radars)[..., chosen]
-    told = {TERMS[0]: faces[:, 0], TERMS[1]: faces[:, 1]}  # the first bounce, and all later ones
+    by_term = {TERMS[0]: faces[:, 0], TERMS[1]: faces[:, 1]}  # the first bounce, and all later ones
     which = body.cuts(np.pi / k[0])[0]
     some, place = np.unique(which, return_inverse=True)
     along = np.zeros((len(some), len(POLARIZATIONS)), np.complex128)
@@ -79,7 +79,7 @@ def contributors(
         incidence_deg,
         float(asked.frequencies[0]),
         tuple(radar.polarizations),
-        {name: amplitude for name, amplitude in told.items() if name in radar.terms},
+        {name: amplitude for name, amplitude in by_term.items() if name in radar.terms},
         wedges.start[some] + body.origin,
         wedges.end[some] + body.origin,
         along[:, chosen],

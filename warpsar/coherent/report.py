@@ -33,7 +33,7 @@ def write_report(out: Path, found: Rcs, content: dict[str, Any], command: Sequen
             rows.append([f"{frequency / 1e9:g}", polarization, *levels, f"{azimuth:g}°", f"{incidence:g}°"])
     _, _, f, p = (int(one) for one in np.unravel_index(decibels.argmax(), decibels.shape))
     best = rows[f * len(found.polarizations) + p]
-    lead = (
+    summary = (
         f"warpsar rcs {content['version']}; directions: {content['directions']}, frequencies: {len(found.frequency_hz)}"
     )
     highest = f"Highest: {best[3]} dBsm in {best[1]} at {best[0]} GHz, from azimuth {best[4]} and incidence {best[5]}."
@@ -55,4 +55,4 @@ def write_report(out: Path, found: Rcs, content: dict[str, Any], command: Sequen
         report.section("Levels over all directions", report.table(columns, rows)),
         report.reproduce(content, command, f"Beside this file: {beside}."),
     ]
-    report.write(out / "report.html", report.page("Radar cross-section", lead, *sections))
+    report.write(out / "report.html", report.page("Radar cross-section", summary, *sections))

@@ -280,8 +280,8 @@ def _regions(
     order = some[np.argsort(region[some], kind="stable")]
     of = region[order]
     start = np.searchsorted(of, np.arange(count))
-    lead = normal[order[start]] if count else np.empty((0, 3))
-    sign = np.where(np.einsum("ij,ij->i", normal[order], lead[of]) < 0.0, -1, 1)
+    reference = normal[order[start]] if count else np.empty((0, 3))
+    sign = np.where(np.einsum("ij,ij->i", normal[order], reference[of]) < 0.0, -1, 1)
     corners = np.where(sign[:, None] < 0, faces[order][:, ::-1], faces[order])
     weight = area[order]
     total = np.bincount(of, weight, count).astype(np.float64)  # of nothing it gives integers

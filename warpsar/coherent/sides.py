@@ -92,13 +92,13 @@ def _seen_on_both(
     if np.where(cast > 0.0, cast, 0.0).sum() < np.where(cast < 0.0, -cast, 0.0).sum():
         cast, area = -cast, -area
     some = np.flatnonzero((cast < 0.0).any(axis=1))
-    told, cast = Directions(directions.s[some], directions.u[some], directions.v[some]), cast[some]
+    towards, cast = Directions(directions.s[some], directions.u[some], directions.v[some]), cast[some]
     step = max(1, _PAIRS // len(middle))
     points = upload(middle, wp.vec3d, body.device)
     normals = upload(area / np.linalg.norm(area, axis=1)[:, None], wp.vec3d, body.device)
     for i in range(0, len(some), step):
         part = slice(i, i + step)
-        radars = upload(radar_records(told[part], body.origin, distance_m), tubes.TubeRadar, body.device)
+        radars = upload(radar_records(towards[part], body.origin, distance_m), tubes.TubeRadar, body.device)
         seen = wp.empty((radars.shape[0], len(middle)), dtype=wp.uint8, device=body.device)
         inputs = [body.rays, radars, points, normals, 1]
         wp.launch(tubes.free_kernel, seen.shape, inputs=inputs, outputs=[seen], device=body.device)

@@ -86,13 +86,13 @@ class Tracer:
         """What the cells of a grid from `start` to `stop` add up to."""
         views, device = radars.shape[0], self.body.device
         radiated = wp.zeros((views, cells.LANES, self.count * self.layers, 4), dtype=wp.vec2d, device=device)
-        told = wp.zeros((views, cells.LANES, 1, 3), dtype=wp.vec2d, device=device)
+        judged = wp.zeros((views, cells.LANES, 1, 3), dtype=wp.vec2d, device=device)
         for traced in self.narrowed(radars, grid, start, stop):
-            traced.add(traced.told, told, 0, 0, 1)
+            traced.add(traced.judged, judged, 0, 0, 1)
             traced.radiate(exact, radiated)
             del traced
         amplitude = over_lanes(radiated).reshape(views, self.count, self.layers, 4, 2)
-        pairs = over_lanes(told)[:, 0]
+        pairs = over_lanes(judged)[:, 0]
         return Sums(
             amplitude[..., 0] + 1j * amplitude[..., 1],
             *(pairs[:, i, j] for i, j in ((1, 0), (1, 1), (0, 0), (0, 1), (2, 0))),
@@ -164,9 +164,9 @@ class Judged(Traced):
         super().__init__(tracer, radars, rays)
         device, chunks = tracer.body.device, len(rays) // cells.RAYS
         self.kept, self.cuts = (wp.empty(len(rays), dtype=int, device=device) for _ in range(2))
-        self.told = wp.empty((chunks, 1, 1, 3), dtype=wp.vec2d, device=device)
+        self.judged = wp.empty((chunks, 1, 1, 3), dtype=wp.vec2d, device=device)
         inputs = [rays.cells, self.ends, TURN, level, tracer.levels]
-        outputs = [self.kept, self.cuts, self.told]
+        outputs = [self.kept, self.cuts, self.judged]
         wp.launch(cells.judge_kernel, chunks, inputs=inputs, outputs=outputs, device=device)
 
     def parts(self) -> CellRays | None:

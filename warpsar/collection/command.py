@@ -39,7 +39,7 @@ from warpsar.simulation.outputs import make_folder, refuse_unlikely_size, write_
 from warpsar.simulation.rays import trace_view, view_seed
 from warpsar.surface.stage import Stage
 
-WIDE_BAND, SAID_DB = 0.06, 0.5
+WIDE_BAND, STATED_DB = 0.06, 0.5
 """Share of the middle frequency from which a band's amplitudes are looked at, and the error at its ends that is said:
 even an amplitude that goes as the frequency squared, as of small roughness, changes by less in a narrower band."""
 ALIASED = 0.01
@@ -170,7 +170,7 @@ def _stream(bodies: Bodies, plan: Plan, *, once: bool = False, rough: bool = Tru
         yield found
     if not found.count and rough:
         console.warn([f"{name}: nothing sends back; radar.terms are {', '.join(bodies.world.radar.terms)}"])
-    console.warn(f"{name}: {told}" for told in wide_tubes(found.tally))
+    console.warn(f"{name}: {warning}" for warning in wide_tubes(found.tally))
 
 
 @contextmanager
@@ -179,7 +179,7 @@ def _warned_of_band(bodies: Bodies, plan: Plan) -> Iterator[None]:
     yield
     if plan.bandwidth_hz > WIDE_BAND * plan.centre_hz:
         error = band_error_db(bodies.world, plan, bodies.of(plan))
-        if error > SAID_DB:
+        if error > STATED_DB:
             share = 100.0 * plan.bandwidth_hz / plan.centre_hz
             console.warn(
                 [
@@ -238,9 +238,9 @@ def run(
     bodies = Bodies(scene, plans, where, scene.seed(seed), room.together, room.tile_bytes)
     load_kernels(where)
     with busy("estimating time and memory"):
-        told = forecast(bodies, plans, product)
-    if told is not None:
-        console.say(str(told))
+        expected = forecast(bodies, plans, product)
+    if expected is not None:
+        console.say(str(expected))
     write = _phase_history if product == "phase-history" else _slc
     entries = [write(bodies, plan, index, out) for index, plan in enumerate(plans)]
     content = {"product": product, "warnings": warnings, "views": entries}

@@ -76,9 +76,9 @@ class Slc:
         except ImportError as error:
             raise InputError('xarray is needed: pip install "warpsar[xarray]"') from error
         plan = self.plan
-        told = {"units": "1", "long_name": "complex image, whose power is beta0"}
+        attributes = {"units": "1", "long_name": "complex image, whose power is beta0"}
         return xarray.Dataset(
-            {"slc": (("range", "azimuth", "polarization"), np.stack(list(self.images.values()), axis=-1), told)},
+            {"slc": (("range", "azimuth", "polarization"), np.stack(list(self.images.values()), axis=-1), attributes)},
             {
                 "range": ("range", self.range_m, {"units": "m", "long_name": f"{self.plane} range"}),
                 "azimuth": ("azimuth", self.azimuth_m, {"units": "m", "long_name": "azimuth"}),

@@ -106,11 +106,11 @@ def unaimed(scene: World) -> list[str]:
         return []
     stated = stated_aims(scene)
     count = sum(bool(view.images) and view.name not in stated for view in scene.views)
-    said = (
+    message = (
         f"effects.aim_point.reach_m: {count} measured views state no shift, and it is taken to be 0 here; `diagnose "
         "--folds` finds the shifts of train views, `evaluate` those of test views"
     )
-    return [said] if count else []
+    return [message] if count else []
 
 
 def roots(power: np.ndarray, smoothed_px: float = SMOOTHED_PX) -> np.ndarray:

@@ -188,15 +188,15 @@ class CurveJudgement:
         if not self.findings:
             few = self.directions < FEWEST
             return f"{'too few directions to tell more' if few else 'nothing but noise is found'}; {level}"
-        said = []
+        sentences = []
         if "no physics needed" in self.findings:
             rival = min(self.over, key=lambda name: self.over[name])
-            said.append(f"a {rival} explains them as well, without physics (2 ln L {self.over[rival]:.0f})")
+            sentences.append(f"a {rival} explains them as well, without physics (2 ln L {self.over[rival]:.0f})")
         if "noise" in self.findings:
-            said.append(f"{100.0 * self.noise_share:.0f} % of their power are left to the noise")
+            sentences.append(f"{100.0 * self.noise_share:.0f} % of their power are left to the noise")
         if "level" in self.findings:
-            said.append("the noise of the train curves does not explain the residual")
-        return "; ".join([*said, level])
+            sentences.append("the noise of the train curves does not explain the residual")
+        return "; ".join([*sentences, level])
 
     def content(self) -> dict[str, Any]:
         return {**asdict(self), "words": self.words}
@@ -217,12 +217,12 @@ def judge_curves(compared: Sequence[CurveComparison]) -> CurveJudgement:
         rival.name: 2.0 * (own - rival.fitted.log_likelihood) + rival.parameters * float(np.log(count))
         for rival in (rivals.constant(seen), rivals.smooth(seen))
     }
-    told = [one for one in compared if one.seen.share is None or one.seen.background_m2 is None]
+    usable = [one for one in compared if one.seen.share is None or one.seen.background_m2 is None]
     noise, power = (
-        sum(float(one.seen.weight @ each(one)) for one in told)
+        sum(float(one.seen.weight @ each(one)) for one in usable)
         for each in (lambda one: one.noise.power(one.seen, one.simulated), lambda one: one.measured)
     )
-    noise_share = noise / power if told else 0.0
+    noise_share = noise / power if usable else 0.0
     findings: list[CurveFinding] = []
     if min(over.values()) <= 0.0:
         findings.append("no physics needed")

@@ -39,8 +39,8 @@ class Evaluation:
 
     def __repr__(self) -> str:
         pooled = {"train": self.train, "test": self.test}
-        told = "".join(f", {role} deviance {m['deviance']:.3f}" for role, m in pooled.items() if m is not None)
-        return f"<Evaluation: {len(self.images)} images, {len(self.curves)} curves{told}>"
+        deviances = "".join(f", {role} deviance {m['deviance']:.3f}" for role, m in pooled.items() if m is not None)
+        return f"<Evaluation: {len(self.images)} images, {len(self.curves)} curves{deviances}>"
 
     def pooled(self, role: str) -> PooledMetrics | None:
         """The metrics of a role."""

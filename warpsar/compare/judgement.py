@@ -112,19 +112,19 @@ class Judgement:
     @property
     def words(self) -> str:
         """What was found, and the deviance."""
-        said = [_WORDS[one](self) for one in self.findings]
-        if not said and self.finding == "cannot be told":
-            said = [f"cannot be told from {self.pixels} pixels"]
-        elif not said:
-            said = ["nothing but speckle is found"]
+        sentences = [_WORDS[one](self) for one in self.findings]
+        if not sentences and self.finding == "cannot be told":
+            sentences = [f"cannot be told from {self.pixels} pixels"]
+        elif not sentences:
+            sentences = ["nothing but speckle is found"]
         own = f"{self.own_deviance:.3f} +- {self.deviance_error:.3f}"
         if math.isfinite(self.deviance_error):
-            said += [f"deviance away from edges {self.deviance:.3f}, where speckle leaves {own}"]
+            sentences += [f"deviance away from edges {self.deviance:.3f}, where speckle leaves {own}"]
         if self.looks_estimated:
-            said += ["the looks were estimated from the images, so they are not tested"]
+            sentences += ["the looks were estimated from the images, so they are not tested"]
         if "edges" not in self.findings:
-            said += [self.edges.words]
-        return "; ".join(said)
+            sentences += [self.edges.words]
+        return "; ".join(sentences)
 
     def content(self) -> dict[str, Any]:
         """For the JSON files."""
@@ -282,11 +282,11 @@ def speckle_of(images: Sequence[Comparison]) -> SpeckleFact:
 
 
 def _speckle(images: Sequence[Comparison], grounds: Sequence[EvenGround | None]) -> SpeckleFact:
-    told = [(image.name, image.seen.law, image.seen.looks_estimated) for image in images]
+    with_laws = [(image.name, image.seen.law, image.seen.looks_estimated) for image in images]
     return speckle_fact(
         [
             Scatter(name, None if estimated else law.looks, law.texture, ground)
-            for (name, law, estimated), ground in zip(told, grounds, strict=True)
+            for (name, law, estimated), ground in zip(with_laws, grounds, strict=True)
         ]
     )
 

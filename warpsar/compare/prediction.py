@@ -234,10 +234,10 @@ class Advantage:
                 "that is not told"
             )
         rival = "by a box of its size" if self.rival == BOX else "by a picture of other measured images"
-        said = f"{self.images} test images {where} are predicted no better than {rival} ({beside})"
+        sentence = f"{self.images} test images {where} are predicted no better than {rival} ({beside})"
         if not self.sector:
-            return f"{said}: a neighbour has the glints of the view, so the body itself is not judged"
-        return f"not this body, or not its model: {said}"
+            return f"{sentence}: a neighbour has the glints of the view, so the body itself is not judged"
+        return f"not this body, or not its model: {sentence}"
 
 
 def advantage(

@@ -90,11 +90,14 @@ class MaterialTest:
     def words(self) -> str:
         """One sentence."""
         value = ""
-        layer = [(told, name, " m" * name.endswith("_m")) for name, told in self.values.items()]
-        for told, name, unit in ((self.eps_r, "eps_r", ""), (self.product_m, "(eps_r - 1) x thickness", " m"), *layer):
-            if told is not None:
-                ends = f"{told.low:.3g} to {told.high:.3g}{unit}{', the end of what was tried' * told.open}"
-                value += f", {name.removesuffix('_m')} {told.value:.3g}{unit} ({ends})"
+        known = (self.eps_r, "eps_r", ""), (self.product_m, "(eps_r - 1) x thickness", " m")
+        of_layer = [
+            (interval, name.removesuffix("_m"), " m" * name.endswith("_m")) for name, interval in self.values.items()
+        ]
+        for interval, name, unit in (*known, *of_layer):
+            if interval is not None:
+                ends = f"{interval.low:.3g} to {interval.high:.3g}{unit}{', the end of what was tried' * interval.open}"
+                value += f", {name} {interval.value:.3g}{unit} ({ends})"
         return f"{self.part}: {self.kind}{value}: {self.outcome}" + (f", {self.why}" if self.why else "")
 
 
@@ -157,8 +160,8 @@ def _ask(
     group = sorted(group, key=lambda one: one.product_m or one.eps_r or 0.0)
     train = [c for c in declared.curves if c.role == "train"]
     after = [_rows(one) for one in group]
-    told = [_of_train(one, rows) for one, rows in zip(group, after, strict=True)]
-    best = int(np.argmax(told))
+    likelihoods = [_of_train(one, rows) for one, rows in zip(group, after, strict=True)]
+    best = int(np.argmax(likelihoods))
     chosen = group[best]
     interval, product = None, None
     parameters = chosen.parameters
@@ -166,12 +169,12 @@ def _ask(
         parameters += 1
     if len(group) > 1 and chosen.product_m is not None:
         products = np.array([one.product_m for one in group], np.float64)
-        product = profiles({"product": products}, np.array(told))["product"]
+        product = profiles({"product": products}, np.array(likelihoods))["product"]
     elif len(group) > 1 and chosen.eps_r is not None:
         axis = np.array([float(one.eps_r or 1.0) for one in group])
-        interval = profiles({"eps_r": axis}, np.array(told))["eps_r"]
+        interval = profiles({"eps_r": axis}, np.array(likelihoods))["eps_r"]
     price = (1 + parameters) * float(np.log(max(independent(train), 2.0)))
-    gain = told[best] - _of_train(declared, before)
+    gain = likelihoods[best] - _of_train(declared, before)
     rows = [new - old for new, old in zip(after[best], before, strict=True)]
     left_out = []
     kinds = sorted({c.polarization for c in train})
@@ -185,7 +188,7 @@ def _ask(
         left_out.append(CurvesLeftOut(kind, total, error))
     rivals = [constant([c]) for c in train]
     paid = sum(each.parameters for each in rivals) * float(np.log(independent(train)))
-    over = told[best] - 2.0 * sum(each.fitted.log_likelihood for each in rivals) + paid
+    over = likelihoods[best] - 2.0 * sum(each.fitted.log_likelihood for each in rivals) + paid
     why = ""
     if gain <= price:
         why = "the train curves do not pay for it"

@@ -90,8 +90,8 @@ def _leveled(seen: list[ObservedCurve], world: World) -> list[ObservedCurve]:
     loose = [one for one, absolute in zip(seen, known, strict=True) if not absolute]
     if not loose:
         return seen
-    told = [one for one in loose if one.role == "train"] or loose
-    ratio = [decibels(np.abs(one.amplitude(world.radar.terms)) ** 2) - decibels(one.measured_m2) for one in told]
+    fitted = [one for one in loose if one.role == "train"] or loose
+    ratio = [decibels(np.abs(one.amplitude(world.radar.terms)) ** 2) - decibels(one.measured_m2) for one in fitted]
     level = float(np.median(np.concatenate(ratio)))
     return [
         one if absolute else replace(one, measured_m2=one.measured_m2 * 10.0 ** (level / 10.0), fitted_level_db=level)

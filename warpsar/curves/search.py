@@ -164,8 +164,8 @@ def ask(curves: Sequence[ObservedCurve], names: Sequence[str], effect: str, term
         why = f"curves left out do not confirm it: {', '.join(bad)}"
     elif beaten := [name for name, value in over.items() if value <= 0.0]:
         why = f"no likelier than a {' and a '.join(beaten)}"
-    told = levels[1] < min(LEVEL_DB, 0.5 * levels[0])
-    outcome: Outcome = "added" if not why else "level only" if told else "refused"
+    leveled = levels[1] < min(LEVEL_DB, 0.5 * levels[0])
+    outcome: Outcome = "added" if not why else "level only" if leveled else "refused"
     alike = [correlation(each.measured_m2, np.abs(each.amplitude(with_it)) ** 2) for each in curves]
     return CandidateTest(
         *head,

@@ -149,9 +149,9 @@ class DarkScan:
     possible: bool
 
     @classmethod
-    def of(cls, told: Mapping[str, Any]) -> DarkScan:
+    def of(cls, content: Mapping[str, Any]) -> DarkScan:
         """From its fields in JSON's types."""
-        return cls(**{**told, "rows": tuple(told["rows"]), "cols": tuple(told["cols"])})
+        return cls(**{**content, "rows": tuple(content["rows"]), "cols": tuple(content["cols"])})
 
 
 @dataclass

@@ -24,7 +24,7 @@ from warpsar.kernels.effects.multibounce import SURFACES
 
 REFLECTIONS = ("roughness", "lobe")
 MOST = int(SURFACES) - 1  # bounces that an image may have
-_TOLD = 0.05  # of the power of an image's bounces, 0.2 dB: less may be left out, unsaid
+_STATED_SHARE = 0.05  # of the power of an image's bounces, 0.2 dB: less may be left out, unsaid
 _SEEN = 1e-3  # of the brightest pixel: a pixel that what is left out would double is told from there on
 
 
@@ -124,7 +124,7 @@ class Multibounce(Effect):
             lacks = other.layers[f"beta0_{most + 1}_bounces_{name}"].numpy().astype(float)
             image = render.before_image[name].numpy()
             doubled = lacks > np.maximum(image, _SEEN * (image + lacks).max(initial=0.0))
-            if lacks.sum() > _TOLD * has.sum() or doubled.any():
+            if lacks.sum() > _STATED_SHARE * has.sum() or doubled.any():
                 over = lacks.sum() / has.sum() if has.any() else np.inf
                 rcs_m2 = float(lacks.sum() * np.prod(render.spacing_m))
                 found.append(LeftOut(most + 1, name, rcs_m2, float(over), most < MOST))

@@ -47,13 +47,13 @@ class NoiseFloor(Effect):
         numbers = {"pixels": float(pixels), "share": share, "error": error}
         if pixels < FEWEST or not math.isfinite(share + error):
             return Signature("none", f"{pixels} pixels in shadows: too few for a test", {"pixels": float(pixels)})
-        said = f"{pixels} pixels in shadows measure {share:.2f} +- {error:.2f} of the floor"
+        facts = f"{pixels} pixels in shadows measure {share:.2f} +- {error:.2f} of the floor"
         beside = "beside what falls with distance from bright pixels, as sidelobes do"
         if share + SURE * error < AT_LEAST or share - SURE * error > AT_MOST:
-            return Signature("against", f"{said} {beside}", numbers)
+            return Signature("against", f"{facts} {beside}", numbers)
         if error < KNOWN and AT_LEAST < share < AT_MOST:
-            return Signature("confirmed", f"{said} {beside}", numbers)
-        return Signature("none", f"{said}: it cannot be told here from sidelobes of what is bright", numbers)
+            return Signature("confirmed", f"{facts} {beside}", numbers)
+        return Signature("none", f"{facts}: it cannot be told here from sidelobes of what is bright", numbers)
 
     def trials(self, context: Context) -> list[Trial]:
         size = 0.1 * context.level

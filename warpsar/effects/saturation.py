@@ -88,17 +88,17 @@ class Saturation(Effect):
             return Signature("none", f"under {FEWEST} pixels of even ground, dim or bright: no test of its speckle")
         ratio, spread = bright / dim, math.hypot(error, other)
         numbers = {"looks_dim": dim, "looks_bright": bright, "log_error": spread}
-        said = f"even ground has {dim:.2f} (dim) and {bright:.2f} (bright) times the declared looks"
+        facts = f"even ground has {dim:.2f} (dim) and {bright:.2f} (bright) times the declared looks"
         if math.log(ratio) + SURE * spread < math.log(_LOSES):
-            return Signature("against", f"{said}: compression takes no looks from the bright half", numbers)
+            return Signature("against", f"{facts}: compression takes no looks from the bright half", numbers)
         expected = 1.0 / table.get("exponent", 1.0) ** 2
         declared = not any(one.looks_estimated for one in images)
         found = 0.5 * (math.log(dim) + math.log(bright))
         apart = abs(math.log(expected)) > SURE * spread
         if declared and apart and abs(found - math.log(expected)) < SURE * spread < abs(found):
-            return Signature("confirmed", f"{said}: the exponent makes {expected:.2f}", numbers)
+            return Signature("confirmed", f"{facts}: the exponent makes {expected:.2f}", numbers)
         return Signature(
-            "none", f"{said}: this neither confirms a compression of the measured power nor refutes it", numbers
+            "none", f"{facts}: this neither confirms a compression of the measured power nor refutes it", numbers
         )
 
     def trials(self, context: Context) -> list[Trial]:

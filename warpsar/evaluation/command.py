@@ -136,11 +136,11 @@ def run(
     console.warn(scene.warnings)
     seed = scene.seed(seed)
     cache = out / "cache"
-    told: list[PredictedImage] = []
+    predicted: list[PredictedImage] = []
     if predictable(scene):
-        told = once.agree(lambda: _predicted(scene, first, where))
-        scene = _aimed(scene, told, "model")
-        first = None if first is None else _aimed(first, told, "before")
+        predicted = once.agree(lambda: _predicted(scene, first, where))
+        scene = _aimed(scene, predicted, "model")
+        first = None if first is None else _aimed(first, predicted, "before")
     console.warn(unaimed(scene))
     found = evaluated(scene, where, seed=seed, progress="evaluate", cache=cache)
     for image in found.own:
@@ -153,10 +153,10 @@ def run(
     def write_curves() -> dict[str, Any]:
         content = write_json(out / "evaluate.json", scene, where, seed, started, curves_content(scene, found))
         title = f"How well {Path(scene_path).name} explains its measured curves"
-        told = [] if earlier is None else earlier.curves
+        predicted = [] if earlier is None else earlier.curves
         verdicts, beside = found.curve_verdicts, "evaluate.json (all numbers)"
         page = out / "report.html"
-        write_curves_report(page, title, found.curves, verdicts, content, command, before=told, beside=beside)
+        write_curves_report(page, title, found.curves, verdicts, content, command, before=predicted, beside=beside)
         console.say_written(out, "report.html", "evaluate.json")
         print(errors_in_short(found.curves), file=sys.stdout)
         return content
@@ -171,7 +171,7 @@ def run(
         for image in found.images:
             _say_what_was_fitted(image, scene.grid.calibrated)
         models = {"model": found.images} | ({} if earlier is None else {"before": earlier.images})
-        laid = [] if told else beside_means(scene, models)
+        laid = [] if predicted else beside_means(scene, models)
         for one in laid:
             console.say(one.words)
         write_learned_ply(out / "learned.ply", scene)
@@ -187,7 +187,7 @@ def run(
             "residuals_db": {name: profile.rows for name, profile in by_factor.items()},
             "expected_residual_db": expected,
             **({} if earlier is None else {"before": {"train": earlier.train, "test": earlier.test}}),
-            **({"prediction": _prediction_content(told)} if told else {}),
+            **({"prediction": _prediction_content(predicted)} if predicted else {}),
             **({"beside_means": [asdict(one) for one in laid]} if laid else {}),
             **(curves_content(scene, found) if found.curves else {}),
         }
@@ -202,13 +202,13 @@ def run(
             command,
             where,
             before=earlier,
-            told=told,
+            predicted=predicted,
             laid=laid,
         )
         console.say_written(out, "report.html", "evaluate.json", "learned.ply", "residual images")
         pooled = [(role, found_in) for role, found_in in (("train", found.train), ("test", found.test)) if found_in]
         words = [f"{role} deviance {m['deviance']:.4f} +- {m['deviance_error']:.4f}" for role, m in pooled]
-        print(", ".join([*words, *_prediction_words(told)]), file=sys.stdout)
+        print(", ".join([*words, *_prediction_words(predicted)]), file=sys.stdout)
         return content
 
     return once.write(write) or {}
@@ -227,19 +227,19 @@ def _predicted(scene: Scene, first: Scene | None, device: wp.Device) -> list[Pre
     return found
 
 
-def _aimed(scene: Scene, told: Sequence[PredictedImage], name: str) -> Scene:
+def _aimed(scene: Scene, predicted: Sequence[PredictedImage], name: str) -> Scene:
     """The scene with the aim points of the test views that state none, as a model's own likelihood has them."""
     stated = stated_aims(scene)
-    shifts = {image.view.name: image.predictions[name].at for image in told if image.view.name not in stated}
+    shifts = {image.view.name: image.predictions[name].at for image in predicted if image.view.name not in stated}
     return with_aims(scene, shifts)
 
 
-def _prediction_content(told: Sequence[PredictedImage]) -> dict[str, Any]:
+def _prediction_content(predicted: Sequence[PredictedImage]) -> dict[str, Any]:
     """What evaluate.json says of the prediction of test views."""
-    ahead = advantage(told)
+    ahead = advantage(predicted)
     return {
         "lead": None if ahead is None else {**asdict(ahead), "ahead": ahead.ahead, "words": ahead.words},
-        "means": [asdict(row) for row in summaries(told)],
+        "means": [asdict(row) for row in summaries(predicted)],
         "images": [
             {
                 "name": image.view.name,
@@ -249,16 +249,16 @@ def _prediction_content(told: Sequence[PredictedImage]) -> dict[str, Any]:
                 "in_sector": image.in_sector,
                 "predictions": {name: asdict(one) for name, one in image.predictions.items()},
             }
-            for image in told
+            for image in predicted
         ],
     }
 
 
-def _prediction_words(told: Sequence[PredictedImage]) -> list[str]:
+def _prediction_words(predicted: Sequence[PredictedImage]) -> list[str]:
     """The correlation of the model, in each set and at each incidence."""
     return [
         f"{'unseen sectors' if row.in_sector else 'between train views'} at {90.0 - row.incidence_deg:.1f} deg of "
         f"depression: correlation {row.correlation:.3f}"
-        for row in summaries(told)
+        for row in summaries(predicted)
         if row.prediction == "model"
     ]

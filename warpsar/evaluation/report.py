@@ -51,14 +51,14 @@ def write_report(
     device: wp.Device,
     *,
     before: Evaluation | None = None,
-    told: Sequence[PredictedImage] = (),
+    predicted: Sequence[PredictedImage] = (),
     laid: Sequence[BesideMean] = (),
     identified: Identified | None = None,
     title: str = "",
     beside: str = "evaluate.json (all numbers), residual images as EXR and PNG, learned.ply",
 ) -> None:
     """`by_factor` and `expected` are `profiles` and `expected_db` of the images. `content` is that of evaluate.json or
-    learn.json, `command` the words that made it. `before` is another model of the same images. `told`: test views
+    learn.json, `command` the words that made it. `before` is another model of the same images. `predicted`: test views
     beside predictions of them, and `laid`, beside the mean of train views on the ground. `identified`: what a fit said
     of the parameters, where there was one; else it is found here. `title` takes the place of the verdict, which follows
     it then. `beside` names the other files."""
@@ -68,7 +68,7 @@ def write_report(
     else:
         words = _undetermined(identified, scene)
     verdict = verdict_sentence(Path(scene.path or "the scene").name, found)
-    lead = (
+    summary = (
         f"{' '.join(command[:2])} {content['version']}; {_curves_and(found)}{len(found.images)} images of "
         f"{scene.grid.shape[0]} x {scene.grid.shape[1]} pixels, {content['rays_per_pixel']:.3g} rays per pixel, on "
         f"{content['device']}"
@@ -77,7 +77,7 @@ def write_report(
         *([report.paragraph(verdict)] if title else []),
         first_pictures(scene, found, before),
         summary_section(scene, found, before),
-        *([prediction_section(told)] if told else []),
+        *([prediction_section(predicted)] if predicted else []),
         *([means_section(laid)] if laid else []),
         images_section(scene, stage, found, before),
         *_curves_sections(found, before),
@@ -92,7 +92,7 @@ def write_report(
             f"Beside this file: {beside}.",
         ),
     ]
-    report.write(path, report.page(title or verdict, lead, *sections))
+    report.write(path, report.page(title or verdict, summary, *sections))
 
 
 def _curves_and(found: Evaluation) -> str:
@@ -108,7 +108,7 @@ def _curves_sections(found: Evaluation, before: Evaluation | None) -> list[str]:
 
 
 def _residuals_section(by_factor: dict[str, FactorProfile], expected: dict[str, float]) -> str:
-    said = (
+    text = (
         "The residual of all compared pixels against what might explain it; the mean that speckle has in dB is taken "
         "off. Where the model is true, the blue band lies on the grey one. A slope is a hint at what is missing."
     )
@@ -118,7 +118,7 @@ def _residuals_section(by_factor: dict[str, FactorProfile], expected: dict[str, 
         if profile.rows
     ]
     return report.section(
-        "What the residual follows", report.paragraph(said), report.row(*cells, across=3, least_px=300)
+        "What the residual follows", report.paragraph(text), report.row(*cells, across=3, least_px=300)
     )
 
 
@@ -130,16 +130,16 @@ def tables_section(content: Mapping[str, Any]) -> list[str]:
     tables = content.get("learned_tables", {})
     if not tables:
         return []
-    said = (
+    text = (
         "What the images changed of the tables. Bands are 95 % intervals, if the model is right. Away from the "
         "incidences seen, a table stays as given."
     )
     figures = [
-        report.drawing(figure_of_table(name, told), f"sigma0 of {name} over local incidence, before and after")
-        for name, told in tables.items()
+        report.drawing(figure_of_table(name, of_incidence), f"sigma0 of {name} over local incidence, before and after")
+        for name, of_incidence in tables.items()
     ]
     return [
-        report.section("Learned tables of sigma0", report.paragraph(said), report.row(*figures, across=2, least_px=300))
+        report.section("Learned tables of sigma0", report.paragraph(text), report.row(*figures, across=2, least_px=300))
     ]
 
 
@@ -240,11 +240,11 @@ def _undetermined(identified: Identified, scene: Scene) -> list[str]:
     if not identified.undetermined:
         return [report.paragraph("Every value that is learned is determined by itself.")]
     curves = ", and of the noise of the train curves," if any(one.role == "train" for one in scene.curves) else ""
-    said = (
+    text = (
         f"From the Fisher information of the train views' speckle{curves} at these parameters: relative standard "
         "deviations, and the products (*) and ratios (/) that the data determine where single values are not."
     )
-    return [report.bullets(identified.undetermined), report.paragraph(said, quiet=True)]
+    return [report.bullets(identified.undetermined), report.paragraph(text, quiet=True)]
 
 
 def field_words(folder: Path | None) -> list[str]:
@@ -314,8 +314,8 @@ def parameters_section(scene: Scene, stage: Stage, identified: Identified | None
     caption = "In brackets: 95 % intervals" if identified is not None else ""
     blocks = [report.table(["material", *(shown_as(kind.key)[0] for kind in KINDS)], rows, caption)]
     if scene.effects:
-        said = [[name, stated(table)] for name, table in scene.effects.items()]
-        blocks.append(report.table(["declared effect", "parameters"], said))
+        declared_rows = [[name, stated(table)] for name, table in scene.effects.items()]
+        blocks.append(report.table(["declared effect", "parameters"], declared_rows))
     bare = np.array([not registry.get(model).of_surface for model in surface.model])
     sides = both_sides(stage, INCIDENCE_DEG)
     chosen = [k for k in KINDS if any(b.learn for b in surface.blocks if b.kind is k)] or list(KINDS[:3])

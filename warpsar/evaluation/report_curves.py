@@ -62,7 +62,7 @@ def curves_section(
 ) -> str:
     """Verdicts, pictures and numbers of all curves. `before` is another model of the same curves."""
     named = {"train": "On the train curves", "test": "On the test curves, to which no noise was fitted"}
-    said = [report.paragraph(f"{named[role]}: {one.words}.") for role, one in verdicts.items()]
+    paragraphs = [report.paragraph(f"{named[role]}: {one.words}.") for role, one in verdicts.items()]
     explained = (
         "The residual is in standard deviations of the noise: 95 % lie in the grey band where the model is right. "
         "The noise was fitted to the train curves, unless the scene states it. Rows count for their share of an "
@@ -84,7 +84,7 @@ def curves_section(
         rows.append([one.name, one.role, *(f"{cell:.2f}" for cell in cells), *counted])
     return report.section(
         "Measured and modelled curves",
-        *said,
+        *paragraphs,
         report.paragraph(explained, quiet=True),
         report.row(*drawn, across=2, least_px=300),
         report.table(COLUMNS, rows),
@@ -105,11 +105,11 @@ def write_curves_report(
 ) -> None:
     """The page of a scene that has curves and no images. `content` is that of the command's JSON, `words` what it
     found."""
-    lead = f"{' '.join(command[:2])} {content['version']}; {len(curves)} curves, on {content['device']}"
+    summary = f"{' '.join(command[:2])} {content['version']}; {len(curves)} curves, on {content['device']}"
     found = [report.section("In short", *map(report.paragraph, words))] if words else []
     sections = [
         *found,
         curves_section(curves, verdicts, before),
         report.reproduce(dict(content), command, f"Beside this file: {beside}."),
     ]
-    report.write(path, report.page(title, lead, *sections))
+    report.write(path, report.page(title, summary, *sections))

@@ -70,14 +70,14 @@ def first_pictures(scene: Scene, found: Evaluation, before: Evaluation | None) -
     greys, key = beta0_rgb([image.measured])
     coloured = {name: residual_rgb(one, reach) for name, one in residuals.items()} | {"measured": greys[0]}
     pictures = [html_image.image(report.png(rgb), name, *image_axes(scene)) for name, rgb in coloured.items()]
-    said = (
+    caption = (
         f"{image.name}, a {image.role} image. Residual: measured over simulated power, averaged over {SMOOTHED} x "
         f"{SMOOTHED} pixels."
     )
     return (
         report.row(*pictures, across=3)
         + report.row(residual_scale(reach, "measured / simulated"), key, across=3)
-        + report.paragraph(said, quiet=True)
+        + report.paragraph(caption, quiet=True)
     )
 
 
@@ -116,8 +116,8 @@ def images_section(scene: Scene, stage: Stage, found: Evaluation, before: Evalua
         v, m = image.view, image.metrics
         blocks.append(report.heading(f"{v.name} · {image.polarization} · {v.role}"))
         looks = f"{image.seen.looks:.3g}" + (" (estimated)" if image.seen.looks_estimated else "")
-        said = [] if first is None else [("deviance before", plus_minus(*_deviance(first)))]
-        said += [
+        facts = [] if first is None else [("deviance before", plus_minus(*_deviance(first)))]
+        facts += [
             ("azimuth", f"{v.azimuth_deg:g}°"),
             ("incidence", f"{v.incidence_deg:g}°"),
             ("looks", looks),
@@ -129,9 +129,9 @@ def images_section(scene: Scene, stage: Stage, found: Evaluation, before: Evalua
             ("left out", f"{m['left_out']:,}"),
         ]
         if not scene.grid.calibrated:
-            said.append(("fitted gain", f"{10.0 * np.log10(image.gain):.2f} dB"))
+            facts.append(("fitted gain", f"{10.0 * np.log10(image.gain):.2f} dB"))
         pictures = [html_image.image(data, name, down, along) for name, data in panels]
-        blocks.append(report.row(*pictures, report.cell(key, report.facts(said)), across=len(pictures) + 1))
+        blocks.append(report.row(*pictures, report.cell(key, report.facts(facts)), across=len(pictures) + 1))
     table = [[f"{i.view.name} {i.polarization}", i.view.role, *metric_cells(i.metrics)] for i in found.images]
     blocks.append(report.heading("Every image"))
     blocks.append(report.table(["image", "role", *METRICS], table))

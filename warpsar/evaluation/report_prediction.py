@@ -43,14 +43,14 @@ def prediction_table(rows: Sequence[Summary]) -> str:
 def prediction_section(images: Sequence[PredictedImage]) -> str:
     """The test views of a scene whose aim points are found."""
     ahead = advantage(images)
-    said = [] if ahead is None else [f"{ahead.words[0].upper()}{ahead.words[1:]}."]
-    said.append(
+    sentences = [] if ahead is None else [f"{ahead.words[0].upper()}{ahead.words[1:]}."]
+    sentences.append(
         "Each test view is compared at the best shift within the reach of aim_point. The correlation is that of fourth "
         "roots of power that was smoothed by 1.5 pixels. A model has the shift of its own least loss, a measured rival "
         "that of the best correlation. The deviance is that of one look; speckle leaves 1."
     )
     return report.section(
-        "Prediction of views not seen", *map(report.paragraph, said), prediction_table(summaries(images))
+        "Prediction of views not seen", *map(report.paragraph, sentences), prediction_table(summaries(images))
     )
 
 
@@ -67,11 +67,11 @@ def means_section(images: Sequence[BesideMean]) -> str:
         ]
         for one in images
     ]
-    said = (
+    text = (
         "Mean deviance over that of speckle, on the pixels that all predictions have, in shadow too; each has the gain "
         "that fits best. The measured views are the train views within 5 degrees of azimuth, as they lie on the plane "
         f"through the reference point. The lead is that over the better mean, its error comes from tiles of {TILE} "
         "pixels."
     )
     head = ("view", "polarization", "pixels", *(NAMES[name] for name in names), "lead")
-    return report.section("Test views beside measured ones", report.paragraph(said), report.table(head, rows))
+    return report.section("Test views beside measured ones", report.paragraph(text), report.table(head, rows))

@@ -170,9 +170,9 @@ def products(path: Path, polarization: str | None) -> tuple[Product, ...]:
             f"{path}: doppler_centroid_polynomial: found {shown(doppler.tolist())}; must be 0: lines must be those of "
             "zero Doppler"
         )
-    sent, heard = (str(fields.get(f"collect.radar.{way}_polarization")) for way in ("transmit", "receive"))
-    if polarization is not None and polarization != sent + heard:
-        raise InputError(f"{path}: found the polarization {sent}{heard}; {polarization} was asked for")
+    sent, received = (str(fields.get(f"collect.radar.{way}_polarization")) for way in ("transmit", "receive"))
+    if polarization is not None and polarization != sent + received:
+        raise InputError(f"{path}: found the polarization {sent}{received}; {polarization} was asked for")
     first = fields.time(f"{geometry}.first_line_time")
     epoch = first.astype("datetime64[D]")
     orbit = _orbit(fields, epoch)
@@ -192,7 +192,7 @@ def products(path: Path, polarization: str | None) -> tuple[Product, ...]:
             source=str(image or path),
             platform=str(fields.get("collect.platform")),
             epoch=epoch.astype("datetime64[us]"),
-            polarization=sent + heard,
+            polarization=sent + received,
             frequency_hz=fields.number("collect.radar.center_frequency"),
             side=side,
             grid=grid,

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 ASSETS = Path(__file__).parent / "assets"
 
 
-def page(title: str, lead: str, *sections: str) -> str:
-    """The whole document; `title` and `lead` are plain text. The script that enlarges pictures is inside."""
+def page(title: str, summary: str, *sections: str) -> str:
+    """The whole document; `title` and `summary` are plain text. The script that enlarges pictures is inside."""
     style, panzoom, script = (
         (ASSETS / name).read_text("utf-8") for name in ("report.css", "panzoom.min.js", "report.js")
     )
@@ -34,7 +34,7 @@ def page(title: str, lead: str, *sections: str) -> str:
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f"<title>{escape(title)}</title>\n<style>{style}</style>\n</head>\n<body>\n"
-        f'<h1>{escape(title)}</h1>\n<p class="quiet">{escape(lead)}</p>\n'
+        f'<h1>{escape(title)}</h1>\n<p class="quiet">{escape(summary)}</p>\n'
         + "\n".join(sections)
         + f"\n<script>{panzoom}</script>\n<script>{script}</script>\n</body>\n</html>\n"
     )
@@ -92,8 +92,8 @@ def table(
         + "</tr>"
         for row in rows
     )
-    said = f"<caption><span>{escape(caption)}</span></caption>" if caption else ""  # the span is as wide as the page
-    return f'<div class="wide"><table>{said}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
+    text = f"<caption><span>{escape(caption)}</span></caption>" if caption else ""  # the span is as wide as the page
+    return f'<div class="wide"><table>{text}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
 
 
 @dataclass(frozen=True)
@@ -154,8 +154,8 @@ def drawing(figure: Figure, caption: str, *, show: bool = True) -> str:
 
 
 def _figure(uri: str, caption: str, kind: str, *, show: bool = True) -> str:
-    said = f"<figcaption>{escape(caption)}</figcaption>" if show else ""
-    return f'<figure><img class="{kind}" src="{uri}" alt="{escape(caption, quote=True)}">{said}</figure>'
+    text = f"<figcaption>{escape(caption)}</figcaption>" if show else ""
+    return f'<figure><img class="{kind}" src="{uri}" alt="{escape(caption, quote=True)}">{text}</figure>'
 
 
 def data_uri(content: bytes, kind: str) -> str:

@@ -34,8 +34,8 @@ class ImageAxis:
 def image(png: bytes, caption: str, down: ImageAxis, along: ImageAxis) -> str:
     """A PNG of pixels whose rows lie along `down` and whose columns along `along`, in true proportion."""
     aspect = abs(along.end - along.start) / abs(down.end - down.start)
-    said = escape(caption, quote=True)
-    picture = f'<img class="pixels" style="aspect-ratio: {aspect:.6g}" src="{data_uri(png, "image/png")}" alt="{said}">'
+    text = escape(caption, quote=True)
+    picture = f'<img class="pixels" style="aspect-ratio: {aspect:.6g}" src="{data_uri(png, "image/png")}" alt="{text}">'
     ends = " ".join(f'data-{name}="{one.start:.9g} {one.end:.9g}"' for name, one in (("down", down), ("along", along)))
     return (
         f'<figure {ends}><div class="plot">{_scale(down, "down", "top")}<div class="box">{picture}</div>'

@@ -41,14 +41,14 @@ class GeometryCoordinate:
     """One number of the vector: it moves the outermost points of what it belongs to by about a metre for each metre.
 
     `index` is the element of a parameter of three. A value is `start` + coordinate * `slope`, or `start` *
-    exp(coordinate * `slope`) for a size, a scale or a spacing (`factor`). Coordinates end at `bounds` [m].
+    exp(coordinate * `slope`) where the parameter's coordinate is logarithmic (`factor`): a size, a scale, a spacing.
+    Coordinates end at `bounds` [m].
     """
 
     parameter: Parameter
     index: int | None
     start: float
     slope: float
-    factor: bool
     bounds: tuple[float, float]
 
     @property
@@ -67,6 +67,11 @@ class GeometryCoordinate:
     def changes(self, view: str) -> bool:
         """Whether the image of a view changes with it."""
         return self.parameter.root != "views" or self.parameter.owner in ("", view)
+
+    @property
+    def factor(self) -> bool:
+        """Whether it multiplies."""
+        return self.parameter.transform.kind == "log"
 
     def value(self, coordinate: float) -> float:
         """The value in the parameter's unit."""
@@ -101,7 +106,6 @@ class Geometry:
     def _add(self, parameter: Parameter, radius: float) -> None:
         values = np.atleast_1d(parameter.value).tolist()
         known = parameter.known or ((0.0, math.inf),) * len(values)
-        factor = parameter.key in ("size_m", "scale") or parameter.root == "image"
         for index, (start, about_sd) in enumerate(zip(values, known, strict=True)):
             if parameter.key == "size_m" and start == 0.0:
                 continue  # a plate's thickness
@@ -111,7 +115,7 @@ class Geometry:
             slope = math.degrees(slope) if parameter.unit == "deg" else slope
             which = index if parameter.layout == "vector" else None
             bounds = _bounds(parameter, start, slope)
-            self.coordinates.append(GeometryCoordinate(parameter, which, start, slope, factor, bounds))
+            self.coordinates.append(GeometryCoordinate(parameter, which, start, slope, bounds))
             self.known.append(about_sd)
 
     def shared(self, c: GeometryCoordinate) -> tuple[str, float] | None:

@@ -79,7 +79,9 @@ class Identified:
         """Those of `words` that tell of a value which the data do not determine alone."""
         lost = self.sd >= UNDETERMINED_SD
         return [
-            said for said, members in zip(self.words, _groups(self.labels).values(), strict=True) if lost[members].any()
+            words
+            for words, members in zip(self.words, _groups(self.labels).values(), strict=True)
+            if lost[members].any()
         ]
 
     def summary(self) -> dict[str, Any]:

@@ -26,16 +26,16 @@ class LearnedObjects:
 
     @property
     def words(self) -> list[str]:
-        """A sentence for each object, and what cannot be told apart."""
-        objects = [_object_words(name, told) for name, told in self.found.objects.items() if _learned(told)]
-        return objects + [_number_words(name, told) for name, told in self.found.numbers.items()] + self.found.words
+        """A sentence for each object, and what cannot be entry apart."""
+        objects = [_object_words(name, entry) for name, entry in self.found.objects.items() if _learned(entry)]
+        return objects + [_number_words(name, entry) for name, entry in self.found.numbers.items()] + self.found.words
 
     def content(self) -> dict[str, Any]:
         """For learn.json, of the objects: values by name, with a standard deviation where one was learned."""
         words = self.found.words
         return {
-            name: {**told, "not_told_apart": [w for w in words if w.startswith(f"{name}.")]}
-            for name, told in self.found.objects.items()
+            name: {**entry, "not_told_apart": [w for w in words if w.startswith(f"{name}.")]}
+            for name, entry in self.found.objects.items()
         }
 
     def widened(self, identified: Identified) -> Identified:
@@ -55,34 +55,34 @@ def learned_objects(
     """
     if next(freed(scene), None) is None:
         return None
-    begun = search_poses(scene, device, loss=loss, blurs_m=None, smooth=True, values=values)
+    approaching = search_poses(scene, device, loss=loss, blurs_m=None, smooth=True, values=values)
     if any(one.glint for one in scene.objects):
-        there, values = begun.approached()
+        there, values = approaching.approached()
         with_points = with_glints(there, device, loss)
         console.say(f"glints: {len(with_points.objects) - len(scene.objects)} of {len(scene.objects)} bodies")
         # the points begin as bright as their bodies, and the bodies where they are near
-        begun = search_poses(with_points, device, loss=loss, blurs_m=(), smooth=True, values=values).shaded()
-    found = begun.finish()
+        approaching = search_poses(with_points, device, loss=loss, blurs_m=(), smooth=True, values=values).shaded()
+    found = approaching.finish()
     console.say(f"geometry: log-likelihood up by {found.gain:.4g}")
     return LearnedObjects(found.scene, found)
 
 
-def _number_words(name: str, told: dict[str, Any]) -> str:
-    unit = "" if told["unit"] == "1" else f" {told['unit']}"
-    return f"{name}: {told['value']:.6g} +- {told['sd']:.2g}{unit}"
+def _number_words(name: str, entry: dict[str, Any]) -> str:
+    unit = "" if entry["unit"] == "1" else f" {entry['unit']}"
+    return f"{name}: {entry['value']:.6g} +- {entry['sd']:.2g}{unit}"
 
 
-def _learned(told: dict[str, Any]) -> bool:
-    return any("_sd" in key for key in told)
+def _learned(entry: dict[str, Any]) -> bool:
+    return any("_sd" in key for key in entry)
 
 
-def _object_words(name: str, told: dict[str, Any]) -> str:
+def _object_words(name: str, entry: dict[str, Any]) -> str:
     parts = []
-    for key, value in told.items():
+    for key, value in entry.items():
         stem, _, unit = key.partition("_sd")
         if "_sd" not in key:
             continue
-        values = told[stem + unit]
+        values = entry[stem + unit]
         pairs = zip(*(each if isinstance(each, list) else [each] for each in (values, value)), strict=True)
         shown = ", ".join(f"{v:.4g} +- {sd:.2g}" for v, sd in pairs)
         parts.append(f"{stem} {shown} {unit.removeprefix('_')}".strip())

@@ -27,13 +27,13 @@ LEGEND = (
 )
 
 
-def figure_of_objects(before: Scene, after: Scene, told: Mapping[str, Mapping[str, Any]]) -> Figure | None:
+def figure_of_objects(before: Scene, after: Scene, by_object: Mapping[str, Mapping[str, Any]]) -> Figure | None:
     """Both pictures; None where no object differs or was learned.
 
-    `told` is what JSON files say of the objects, by name (`learning.pose_search.summary`). An object that one of the
+    `by_object` is what JSON files say of the objects (`learning.pose_search.summary`). An object that one of the
     scenes does not have is drawn as the other has it.
     """
-    named = _outlined(before, after, told)
+    named = _outlined(before, after, by_object)
     if not named:
         return None
     figure, (plan, space) = new(9.6, 4.6, ncols=2)
@@ -41,7 +41,7 @@ def figure_of_objects(before: Scene, after: Scene, told: Mapping[str, Mapping[st
     space.remove()
     space = figure.add_subplot(subplot, projection="3d")
     low, high = _extent([mesh for pair in named.values() for mesh in pair if mesh is not None])
-    _draw_plan(plan, named, told, before, low, high)
+    _draw_plan(plan, named, by_object, before, low, high)
     _draw_space(space, named, low, high)
     return figure
 
@@ -49,13 +49,13 @@ def figure_of_objects(before: Scene, after: Scene, told: Mapping[str, Mapping[st
 Pair = tuple[Mesh | None, Mesh | None]
 
 
-def _outlined(before: Scene, after: Scene, told: Mapping[str, Mapping[str, Any]]) -> dict[str, Pair]:
+def _outlined(before: Scene, after: Scene, by_object: Mapping[str, Mapping[str, Any]]) -> dict[str, Pair]:
     """The meshes of every object that was learned or changed, before and after, by name."""
-    names = dict.fromkeys([*told, *(one.label for one in (*before.objects, *after.objects))])
+    names = dict.fromkeys([*by_object, *(one.label for one in (*before.objects, *after.objects))])
     found: dict[str, Pair] = {}
     for name in names:
         pair = (_mesh_of(before, name), _mesh_of(after, name))
-        learned = any("_sd" in key for key in told.get(name, {}))
+        learned = any("_sd" in key for key in by_object.get(name, {}))
         if pair != (None, None) and (learned or not _same(*pair)):
             found[name] = pair
     return found
@@ -103,7 +103,7 @@ def _extent(meshes: Sequence[Mesh]) -> tuple[np.ndarray, np.ndarray]:
 def _draw_plan(
     axis: Axes,
     named: Mapping[str, Pair],
-    told: Mapping[str, Mapping[str, Any]],
+    by_object: Mapping[str, Mapping[str, Any]],
     scene: Scene,
     low: np.ndarray,
     high: np.ndarray,
@@ -121,7 +121,7 @@ def _draw_plan(
         middle = (last.vertices[:, :2].min(axis=0) + last.vertices[:, :2].max(axis=0)) / 2.0
         top = (middle[0], last.vertices[:, 1].max())
         axis.annotate(name, top, (0, 3), textcoords="offset points", ha="center", va="bottom", fontsize=8)
-        sd = np.asarray(told.get(name, {}).get("position_sd_m", (0.0, 0.0, 0.0)), float)[:2]
+        sd = np.asarray(by_object.get(name, {}).get("position_sd_m", (0.0, 0.0, 0.0)), float)[:2]
         if (sd > 0).any() and (sd < LARGEST_SD * np.ptp(last.vertices[:, :2], axis=0)).all():
             width, height = 2.0 * 2.448 * sd  # 95 % of a Gaussian of two numbers lie within 2.448 sd
             axis.add_patch(Ellipse(tuple(middle), width, height, fill=False, edgecolor=AFTER, lw=0.8))

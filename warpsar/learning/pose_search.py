@@ -197,7 +197,7 @@ def find_poses(
     along, as in `PosedProblem`. `values`: tables and learned terms to fit along. Raises InputError where nothing of the
     geometry is to be learned, and for views without images.
     """
-    begun = search_poses(
+    approaching = search_poses(
         scene,
         device,
         views=views,
@@ -209,7 +209,7 @@ def find_poses(
         smooth=smooth,
         values=values,
     )
-    return begun.finish()
+    return approaching.finish()
 
 
 def search_poses(
@@ -424,12 +424,12 @@ def _words(problem: PosedNumbers, identified: Identified) -> list[str]:
     # what is left of the poses' information when surfaces and effects are unknown
     left = information[size:, size:] - mixed.T @ np.linalg.pinv(own, rcond=1e-9, hermitian=True) @ mixed
     values, vectors = np.linalg.eigh(left)
-    sentences, said = [], np.zeros(len(labels), bool)
+    sentences, mentioned = [], np.zeros(len(labels), bool)
     for value, direction in zip(values, vectors.T, strict=True):
         if value * UNKNOWN_M**2 >= 1.0:
             continue
         parts = [k for k in np.argsort(-np.abs(direction)) if abs(direction[k]) > SHARE]
-        said[parts] = True
+        mentioned[parts] = True
         if len(parts) == 1:
             sentences.append(f"{labels[parts[0]]}: not identifiable")
         else:
@@ -441,7 +441,7 @@ def _words(problem: PosedNumbers, identified: Identified) -> list[str]:
     with np.errstate(invalid="ignore", divide="ignore"):
         correlation = identified.covariance[size:, size:] / np.outer(sds, sds)
     for k, j in itertools.combinations(range(len(labels)), 2):
-        if abs(correlation[j, k]) > TRADES and not (said[j] and said[k]):
+        if abs(correlation[j, k]) > TRADES and not (mentioned[j] and mentioned[k]):
             sentences.append(
                 f"{labels[k]} and {labels[j]}: hardly told apart (correlation {correlation[j, k]:+.3f}); views from "
                 f"other sides would part them"

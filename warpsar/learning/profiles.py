@@ -315,8 +315,8 @@ class _Bent:
         share[-1] = 1.0  # most pixels have one material
         power = (1.0 - share[:, None]) + share[:, None] * np.exp(d)
         cost = np.log(power) + 1.0 / power - 1.0
-        told = np.maximum(weights @ share**2, 1e-300)
-        bent = np.sign(d) * np.sqrt(np.maximum(2.0 * (weights @ cost) / told[:, None], 0.0))
+        precision = np.maximum(weights @ share**2, 1e-300)
+        bent = np.sign(d) * np.sqrt(np.maximum(2.0 * (weights @ cost) / precision[:, None], 0.0))
         return cls(np.where(weights.sum(axis=1, keepdims=True) > 0.0, bent, d))
 
     def of(self, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

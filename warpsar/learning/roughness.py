@@ -118,8 +118,8 @@ class Roughness:
         precision = self.precision.copy()
         for number in range(len(self.sizes)):
             mine = self.field == number
-            if (told := mine & known).any():
-                precision[mine] = 1.0 / (np.median(square[told]) + square[mine])
+            if (usable := mine & known).any():
+                precision[mine] = 1.0 / (np.median(square[usable]) + square[mine])
         return replace(self, precision=precision)
 
     def differences(self, x: np.ndarray) -> np.ndarray:

@@ -96,26 +96,26 @@ def with_untrained_terms(
     do not fit into memory.
     """
     wanted = [name for name, material in scene.materials.items() if TERM in material.learn]
-    begun: dict[str, UntrainedTerm] = {}
+    untrained: dict[str, UntrainedTerm] = {}
     channels: list[str] = sorted({"HV" if one == "VH" else one for one in scene.radar.polarizations})
     for name in wanted:
         file = folder_of(scene, name, TERM, folder) / f"{file_stem(tuple(scene.materials), name, 'term')}.json"
         none = {c: np.zeros(1) for c in channels}
         model, place = scene.materials[name].model, np.zeros((1, len(WIDTH)))
-        begun[name] = UntrainedTerm(ScatteringTerm(model, place, np.array(WIDTH), none, SPREAD_DB, NOISE_DB), file)
-        begun[name].save()
+        untrained[name] = UntrainedTerm(ScatteringTerm(model, place, np.array(WIDTH), none, SPREAD_DB, NOISE_DB), file)
+        untrained[name].save()
         held = scene.materials[name].model_copy(update={TERM: file.resolve(), "learn": ()})
         scene = replace(scene, materials=scene.materials | {name: held})
-    if not begun:
+    if not untrained:
         return scene, {}
     problem = prepared(scene)
-    for name, one in begun.items():
+    for name, one in untrained.items():
         places = _places(problem, name)
         used = {c: np.ones(len(places), bool) for c in channels}
         none = {c: np.zeros(len(places)) for c in channels}
-        begun[name] = replace(one, term=replace(one.term, places=places, weights=none, used=used))
-        begun[name].save()
-    return scene, begun
+        untrained[name] = replace(one, term=replace(one.term, places=places, weights=none, used=used))
+        untrained[name].save()
+    return scene, untrained
 
 
 def as_asked(final: Scene, asked: Scene, terms: Collection[str]) -> Scene:

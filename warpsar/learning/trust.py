@@ -44,7 +44,7 @@ def worse(before: Sequence[Comparison], after: Sequence[Comparison]) -> list[str
     found = []
     for one, two in zip(before, after, strict=True):
         a, b = (cast(dict[str, float], image.metrics) for image in (one, two))
-        said = [
+        sentences = [
             f"{name} {a[key]:.3f} -> {b[key]:.3f}"
             for key, name, lost in (
                 ("deviance", "deviance", b["deviance"] > FARTHER * a["deviance"]),
@@ -54,9 +54,9 @@ def worse(before: Sequence[Comparison], after: Sequence[Comparison]) -> list[str
             )
             if lost
         ]
-        if said:
+        if sentences:
             where = f"{two.name} ({two.role})"
-            found.append(f"{where} is farther from the measured image than at the start: {', '.join(said)}")
+            found.append(f"{where} is farther from the measured image than at the start: {', '.join(sentences)}")
     return found
 
 

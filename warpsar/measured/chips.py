@@ -204,13 +204,13 @@ def import_chips(
             raise InputError(f"{source}: is no picture in the slant plane; import it by itself, without --table")
         pol = polarization_of(chip.source, None, polarization or scene.radar.polarizations[0], scene)
         gridded = on_grid(chip, scene, view, Gridding())
-        power, per_pixel, told = gridded.power, gridded.samples, gridded.messages
+        power, per_pixel, notes = gridded.power, gridded.samples, gridded.messages
         top = clip_level(chip, per_pixel)
         clipped.append(float(np.mean(power >= top)) if top is not None else 0.0)
         looks = view.looks or equivalent_looks(power)
         if looks is None:
-            told = [*told, "too little homogeneous ground to estimate looks from; none written"]
-        for one in (*told, *rounding(chip)):
+            notes = [*notes, "too little homogeneous ground to estimate looks from; none written"]
+        for one in (*notes, *rounding(chip)):
             messages[one] = messages.get(one, 0) + 1
         image = scene_path.parent / f"{view.name}_{pol}.exr"
         write_exr(image, {pol: power})
@@ -231,8 +231,8 @@ def import_chips(
             declare(document, view, view.name in known, pol, name, stated, slc)
     if scale != "unknown" and scene.grid.calibrated:
         messages[f"{scene_path}: image.calibrated is true, but pictures give no beta0: use --scale unknown"] = 1
-    said = tuple(text if count == 1 else f"{text} ({count} chips)" for text, count in messages.items())
-    return ImportedChips(tuple(view.name for view, *_ in done), tuple(clipped), said, sheet)
+    texts = tuple(text if count == 1 else f"{text} ({count} chips)" for text, count in messages.items())
+    return ImportedChips(tuple(view.name for view, *_ in done), tuple(clipped), texts, sheet)
 
 
 # ---- which views are learned from, and which are held back as test views

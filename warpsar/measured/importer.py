@@ -123,8 +123,8 @@ def import_measured(
     messages += gridded.messages + rounding(measured)
     blur = None
     if isinstance(measured, ImageChip):
-        blur, told = point_spread(measured, scene, view, per_pixel)
-        messages += told
+        blur, remarks = point_spread(measured, scene, view, per_pixel)
+        messages += remarks
     elif gridded.slc is not None:
         blur = of_focus(measured, (window_range, window_azimuth), scene, per_pixel)
     looks = equivalent_looks(power)

@@ -44,8 +44,8 @@ def point_spread(
         size = np.abs(slopes)
         aside = (size - np.diag(np.diag(size))).sum(axis=0)
         if (aside > _ALONG * np.diag(size)).any():
-            said = "its rows and columns are not along range and azimuth: no point_spread is declared"
-            return None, [*messages, f"{chip.source}: {said}"]
+            message = "its rows and columns are not along range and azimuth: no point_spread is declared"
+            return None, [*messages, f"{chip.source}: {message}"]
         widths = (np.asarray(widths) / np.diag(size)).tolist()
     cells = np.prod(chip.response.width_m) * np.prod(chip.response.band)
     return _table(widths, "sinc" if cells < 1.0 else "taylor", world, samples), messages

@@ -214,6 +214,7 @@ def _of_objects(world: World) -> Iterator[Parameter]:
                 *("objects", one.label, key, OBJECT_UNITS.get(word, "1"), *OBJECT_ENDS.get(word, TURN)),
                 partial(np.array, values if len(values) > 1 else values[0]),
                 layout="vector" if len(values) > 1 else "number",
+                transform=Transform("log" if word in ("scale", "size") else "linear"),
                 freed=word in one.learn,
                 known=known,
                 derivatives=BOTH if word in POSE else POWER,

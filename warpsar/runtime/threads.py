@@ -47,11 +47,11 @@ def in_threads(tasks: Iterable[Callable[[], T]]) -> Iterator[T]:
         if len(given) > 1:
             threads = thread_count()
             cores = max(1, threads // len(given))
-            begun = [_pool(threads).submit(_work, cores, task) for task in given]
+            submitted = [_pool(threads).submit(_work, cores, task) for task in given]
             try:
-                yield from (one.result() for one in begun)
+                yield from (one.result() for one in submitted)
             finally:  # after a failure, too: a task left running may wait for a lock of whoever waits for its thread
-                wait([one for one in begun if not one.cancel()])
+                wait([one for one in submitted if not one.cancel()])
             return
         tasks = given
     # one task keeps all cores for itself; a task of a task stays in its thread, or all could wait for one another

@@ -86,7 +86,7 @@ def with_surfaces(
 ) -> tuple[dict[str, Material], list[str], list[str]]:
     """The materials, with those that are named surfaces of the library at the radar's frequency; what is wrong, and
     what should be said."""
-    found, problems, said = {}, [], []
+    found, problems, warnings = {}, [], []
     others = {view.name: view.frequency_hz for view in views if view.frequency_hz is not None}
     for name, one in given.items():
         if isinstance(one, Material):
@@ -98,8 +98,8 @@ def with_surfaces(
             problems.append(f"materials.{name}: {error}")
             continue
         problems += [wrong for wrong in [fill.of_one_frequency(name, one, radar.frequency_hz, others)] if wrong]
-        said += [warning for warning in [fill.beyond(name, found[name], radar.frequency_hz)] if warning]
-    return found, problems, said
+        warnings += [warning for warning in [fill.beyond(name, found[name], radar.frequency_hz)] if warning]
+    return found, problems, warnings
 
 
 def view_names(views: Sequence[View]) -> list[str]:

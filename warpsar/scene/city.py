@@ -206,9 +206,9 @@ def _check_stretch(
 
 def _say(path: Path, buildings: Buildings, latitude: float, longitude: float) -> None:
     unknown = sum(isinstance(one, Outline) and one.height_m is None for one in buildings.found)
-    said = f"; {unknown} without a height are {footprints.UNKNOWN_M:g} m high" if unknown else ""
+    unknown_heights = f"; {unknown} without a height are {footprints.UNKNOWN_M:g} m high" if unknown else ""
     place = f"; about latitude {latitude:.4f}, longitude {longitude:.4f}"
-    console.say(f"{path}: {len(buildings.found)} buildings{said}{place}")
+    console.say(f"{path}: {len(buildings.found)} buildings{unknown_heights}{place}")
 
 
 def _rings(buildings: Buildings) -> list[Ring]:

@@ -92,8 +92,8 @@ def _outlines(feature: dict[str, Any]) -> Iterator[Outline]:
 def _height(properties: dict[str, Any]) -> float | None:
     """OpenStreetMap's `height` ("12.5 m", a number, or feet as 39'4" and 39 ft), else its `building:levels`."""
     for key, metres in (("height", 1.0), ("building:levels", STOREY_M), ("levels", STOREY_M)):
-        said = str(properties.get(key, "")).replace(",", ".")
-        number = re.match(r"\s*(\d+(?:\.\d*)?)\s*(?:(ft|feet)\b|'\s*(?:(\d+(?:\.\d*)?)\s*(?:\"|''))?)?", said)
+        text = str(properties.get(key, "")).replace(",", ".")
+        number = re.match(r"\s*(\d+(?:\.\d*)?)\s*(?:(ft|feet)\b|'\s*(?:(\d+(?:\.\d*)?)\s*(?:\"|''))?)?", text)
         if number is None:
             continue
         height = float(number[1]) * metres

@@ -196,8 +196,8 @@ class _Loader:
             return None
         self.problems += checks.declared_twice(self.effects, table)
         for key in table.old_keys:
-            said = f"{self.path}: collection.{key}: is [{RENAMED[key]}] now, which acts on images of power, too"
-            warnings.warn(said, FutureWarning, stacklevel=2)
+            message = f"{self.path}: collection.{key}: is [{RENAMED[key]}] now, which acts on images of power, too"
+            warnings.warn(message, FutureWarning, stacklevel=2)
         for name in table.velocity_m_s:
             if name not in labels:
                 known = ", ".join(labels) or "none"
@@ -216,8 +216,8 @@ class _Loader:
         body = None if mesh is None else self.mesh(f"{key}.mesh", mesh)
         known_names = () if of_scene is None else of_scene.materials
         for name in sorted(set(() if body is None else body.materials) - set(known_names)):
-            said = f"must be one of the scene's mesh, {', '.join(known_names) or 'which has none'}"
-            self.problems.append(f"{key}.mesh: {mesh}: found the material {name!r}; {said}")
+            allowed = f"must be one of the scene's mesh, {', '.join(known_names) or 'which has none'}"
+            self.problems.append(f"{key}.mesh: {mesh}: found the material {name!r}; {allowed}")
         try:
             rows = curve.rows()
         except InputError as error:
@@ -298,8 +298,8 @@ def with_own_materials(
         if not one.own_material or one.material is None or one.material not in materials:
             continue
         if one.label in materials:
-            said = f"found a material {one.label!r} in the file; must have another name, or no own_material"
-            problems.append(f"objects[{index}] ({one.label}).own_material: {said}")
+            message = f"found a material {one.label!r} in the file; must have another name, or no own_material"
+            problems.append(f"objects[{index}] ({one.label}).own_material: {message}")
         given[one.label] = materials[one.material]
         owns.setdefault(one.material, []).append(one.label)
     found = [_with_its_own(one) if one.own_material else one for one in objects]

@@ -44,10 +44,10 @@ class Scene(World):
     def __post_init__(self) -> None:
         where = self.path or Path(self.name)
         refuse(where, checks.kinds(self))
-        named, problems, said = checks.with_surfaces(self.materials, self.radar, self.views)
+        named, problems, warnings = checks.with_surfaces(self.materials, self.radar, self.views)
         refuse(where, problems)
         object.__setattr__(self, "materials", named)
-        object.__setattr__(self, "warnings", (*self.warnings, *said))
+        object.__setattr__(self, "warnings", (*self.warnings, *warnings))
         object.__setattr__(self, "views", [checks.with_pixels(view) for view in self.views])
         names = list(self.materials)
         problems = [*checks.view_names(self.views), *checks.material_names(names, self.mesh, "the mesh")]

@@ -265,8 +265,8 @@ def _written_views(made: Simulation, output: Output, ranks: Ranks) -> tuple[list
     scene = made.scene
     costs = [made.rays(view) for view in scene.views]
     mine = ranks.mine(costs)
-    if (told := expected(made, output, mine)) is not None:
-        console.say(str(told))
+    if (forecasted := expected(made, output, mine)) is not None:
+        console.say(str(forecasted))
     made.bar = console.progress(sum(costs[index] for index in mine), "rays", "ray")
     summary = [(index, output.write(made.view(scene.views[index], index), index)) for index in mine]
     made.bar.close()
@@ -370,17 +370,17 @@ def run(
     }
 
     def write() -> dict[str, Any]:
-        said = content
+        whole = content
         if declare and looks is not None:
-            said = said | {"scene": declare_speckled(scene, out, looks)}
-        said = write_json(out / "simulate.json", scene, where, made.seed, started, said)
-        console.say(written(out, said))
+            whole = whole | {"scene": declare_speckled(scene, out, looks)}
+        whole = write_json(out / "simulate.json", scene, where, made.seed, started, whole)
+        console.say(written(out, whole))
         if declare:
             file, folder = (shlex.quote(str(out / name)) for name in ("scene.toml", "evaluated"))
             console.say(
                 f"next: warpsar evaluate {file} -o {folder} compares; warpsar learn and diagnose take this file, too"
             )
-        return said
+        return whole
 
     return once.write(write) or content
 

@@ -52,7 +52,7 @@ class Output:
         files |= self._image(view, view.name, "image")
         if view.scatterers is not None:
             files |= self._scatterers(view, view.scatterers)
-        said = {
+        content = {
             "name": view.name,
             "files": files,
             "rays": view.rays,
@@ -65,8 +65,8 @@ class Output:
             name, noisy = view.name + suffix(self.looks), self._with_speckle(view, index, self.looks)
             files["speckled_quick_look"] = self._quick_look(noisy, name)
             files |= self._image(noisy, name, "speckled")
-            said["looks"] = self.looks
-        return said
+            content["looks"] = self.looks
+        return content
 
     def _scatterers(self, view: SimulatedView, found: StrongScatterers) -> dict[str, str]:
         table, points = (f"{view.name}_scatterers.{kind}" for kind in ("csv", "ply"))

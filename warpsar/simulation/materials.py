@@ -111,8 +111,8 @@ def plot(names: Sequence[str], frequency_hz: float, path: Path) -> None:
         _published(axis, name, frequency_hz)
         axis.set_title(name, fontsize=9)
         if lacks := SURFACES[name].lacks:
-            said = textwrap.fill(f"without {lacks}", 22)
-            axis.text(0.5, 0.04, said, transform=axis.transAxes, ha="center", va="bottom", fontsize=7)
+            text = textwrap.fill(f"without {lacks}", 22)
+            axis.text(0.5, 0.04, text, transform=axis.transAxes, ha="center", va="bottom", fontsize=7)
         axis.grid(alpha=0.3, lw=0.4)
         axis.set_xlim(INCIDENCE_DEG[0], INCIDENCE_DEG[-1])
         axis.set_ylim(-60.0, 5.0)

@@ -76,11 +76,11 @@ class SimulatedView:
             "beta0": ((*plane, "polarization"), np.stack(list(self.beta0.values()), axis=-1), _BETA0)
         }
         if self.sampling_variance:
-            told = {"units": "1", "long_name": "variance of beta0 that the jitter of the rays leaves"}
+            attributes = {"units": "1", "long_name": "variance of beta0 that the jitter of the rays leaves"}
             variables["sampling_variance"] = (
                 (*plane, "polarization"),
                 np.stack(list(self.sampling_variance.values()), axis=-1),
-                told,
+                attributes,
             )
         for name, layer in self.layers.items():
             units, meaning = LAYERS.get(name, ("1", "share of beta0, before the image stage"))
@@ -92,8 +92,8 @@ class SimulatedView:
         }
         facts = {name: value for name, value in self.metadata.items() if name not in _ELSEWHERE}
         if "slant_range_m" in facts:
-            told = {"units": "m", "long_name": "distance from the track"}
-            coordinates["slant_range"] = ("range", self.range_m + facts["slant_range_m"], told)
+            attributes = {"units": "m", "long_name": "distance from the track"}
+            coordinates["slant_range"] = ("range", self.range_m + facts["slant_range_m"], attributes)
         title = "simulated SAR image" if self.looks is None else "simulated SAR image with speckle"
         return xarray.Dataset(variables, coordinates, {"Conventions": "CF-1.11", "title": title, **facts})
 

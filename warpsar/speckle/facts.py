@@ -114,11 +114,11 @@ class SpeckleFact:
 
 def speckle_fact(images: Sequence[Scatter]) -> SpeckleFact:
     """Which law even ground has: the declared one, other looks, texture, both, or none of these."""
-    told = [one for one in images if one.ground is not None]
-    measured = {one.name: one.ground.looks for one in told if one.ground is not None}
-    if not told:
+    grounded = [one for one in images if one.ground is not None]
+    measured = {one.name: one.ground.looks for one in grounded if one.ground is not None}
+    if not grounded:
         return SpeckleFact("not told", "too little even ground to tell how speckle is distributed")
-    data = _Data.of(told)
+    data = _Data.of(grounded)
     if not data.departs():
         words = "speckle on even ground is distributed as declared"
         if data.estimated.all():
@@ -127,7 +127,7 @@ def speckle_fact(images: Sequence[Scatter]) -> SpeckleFact:
     fits = {name: _fit(data, *of(data)) for name, of in _EXPLANATIONS.items()}
     ranked = sorted(fits, key=lambda name: fits[name].price)
     best = ranked[0]
-    if fits[best].chi2 > POOR * max(2 * len(told) - fits[best].x.size, 1):
+    if fits[best].chi2 > POOR * max(2 * len(grounded) - fits[best].x.size, 1):
         return SpeckleFact("none of them", _unlike(data), measured=measured)
     simple = [name for name in ranked[1:] if fits[name].x.size <= fits[best].x.size]
     rivals = [name for name in simple if fits[name].chi2 < fits[best].chi2 + CLOSE]

@@ -270,7 +270,7 @@ def _written(
     command: Sequence[str],
 ) -> dict[str, Any]:
     """One view's files, and its JSON's content. `inputs`: what was read beside the product."""
-    said, against, differs = summary(found), compared(found), differences(found)
+    overall, against, differs = summary(found), compared(found), differences(found)
     layers: dict[str, Callable[[], None]] = {}
     for one in dict.fromkeys(formats):
         layers |= files.writers(found, out, one)
@@ -293,16 +293,16 @@ def _written(
         "map_shape": list(next(iter(found.map.values())).shape),
         "blocks": found.forecast.blocks,
         "forecast": found.forecast.content(),
-        **said.content(),
+        **overall.content(),
         "comparison": against.content() if isinstance(against, TerrainComparison) else against,
         "differences": differs.content() if isinstance(differs, TerrainDifferences) else differs,
         "files": [*written, "report.html"],
         "settings": settings,
     }
     content = write_json(out / "twin.json", None, where, None, started, content)
-    write_report(out / "report.html", said, against, differs, {name: out / name for name in drawn}, content, command)
+    write_report(out / "report.html", overall, against, differs, {name: out / name for name in drawn}, content, command)
     console.say_written(out, "report.html", "twin.json", *written)
-    print("\n".join([*said.words, *words_of(against), *words_of(differs)]))
+    print("\n".join([*overall.words, *words_of(against), *words_of(differs)]))
     return content
 
 
@@ -329,7 +329,7 @@ def _write_views(
         "settings": settings,
     }
     content = write_json(out / "twin.json", None, where, None, started, content)
-    lead = f"warpsar twin {content['version']}; {product.name}, {one['acquired'][:19]} UTC"
+    intro = f"warpsar twin {content['version']}; {product.name}, {one['acquired'][:19]} UTC"
     sections = [
         report.section(
             name,
@@ -349,7 +349,7 @@ def _write_views(
         report.reproduce(content, list(command) or ["warpsar", "twin"], f"Beside this file: {_beside(content)}.")
     )
     report.write(
-        out / "report.html", report.page("What the product should show: a view of each sub-swath", lead, *sections)
+        out / "report.html", report.page("What the product should show: a view of each sub-swath", intro, *sections)
     )
     console.say_written(out, "report.html", "twin.json")
     return content
@@ -357,11 +357,11 @@ def _write_views(
 
 def words_in(content: Mapping[str, Any]) -> list[str]:
     """What a view's JSON says, a line each."""
-    told = list(content["words"])
+    sentences = list(content["words"])
     for key in ("comparison", "differences"):
         answer = content[key]
-        told += [] if answer is None else [answer] if isinstance(answer, str) else answer["words"]
-    return told
+        sentences += [] if answer is None else [answer] if isinstance(answer, str) else answer["words"]
+    return sentences
 
 
 def _figures(
@@ -408,7 +408,7 @@ LIMITS = (
 
 def write_report(
     path: Path,
-    said: TwinSummary,
+    overall: TwinSummary,
     against: TerrainComparison | str | None,
     differs: TerrainDifferences | str | None,
     drawn: Mapping[str, Path],
@@ -416,7 +416,7 @@ def write_report(
     command: Sequence[str],
 ) -> None:
     """`drawn` are files of pictures, `content` is that of twin.json, `command` the words that made it."""
-    lead = f"warpsar twin {content['version']}; {content['product']}, {content['acquired'][:19]} UTC"
+    intro = f"warpsar twin {content['version']}; {content['product']}, {content['acquired'][:19]} UTC"
     pictures = {name: report.picture(file.read_bytes(), CAPTIONS[name]) for name, file in drawn.items()}
     compared = [report.paragraph(_sentence(each)) for each in words_of(against)]
     if against is not None:
@@ -433,7 +433,7 @@ def write_report(
         if rows:
             differences.append(report.table(columns, rows, "Chosen in half of the squares, confirmed in the other"))
         differences += [report.paragraph(f"Asked: {', '.join(differs.asked)}.")]
-    rows = [[one.name, one.unit, *(f"{value:.4g}" for value in one.percentiles), one.words] for one in said.layers]
+    rows = [[one.name, one.unit, *(f"{value:.4g}" for value in one.percentiles), one.words] for one in overall.layers]
     columns = ["layer", "unit", "5 %", "median", "95 %", "what it is"]
     names = (
         *("platform", "polarization", "look_side", "elevation_model", "vertical_datum", "surfaces"),
@@ -442,7 +442,7 @@ def write_report(
     facts = [("frequency", f"{content['frequency_hz'] / 1e9:.4g} GHz")]
     facts += [(name.replace("_", " "), str(content[name])) for name in names]
     sections = [
-        report.section("In short", *(report.paragraph(_sentence(each)) for each in said.words)),
+        report.section("In short", *(report.paragraph(_sentence(each)) for each in overall.words)),
         *([report.section("Measured beside simulated", *compared)] if compared else []),
         *([report.section("What differs", *differences)] if differences else []),
         report.section("Pictures", *pictures.values()),
@@ -451,7 +451,7 @@ def write_report(
         report.section("Product", report.facts(facts)),
         report.reproduce(content, list(command) or ["warpsar", "twin"], f"Beside this file: {_beside(content)}."),
     ]
-    report.write(path, report.page("What the product should show", lead, *sections))
+    report.write(path, report.page("What the product should show", intro, *sections))
 
 
 def words_of(answer: TerrainComparison | TerrainDifferences | str | None) -> list[str]:

@@ -183,7 +183,7 @@ def differences(found: SimulatedProduct) -> TerrainDifferences | str | None:
     for k, name in enumerate(chosen):
         if name in MOVES:
             deviations[k] = np.hypot(deviations[k], PLACED / cells.steps_per_metre(name))
-    told = tuple(
+    sentences = tuple(
         _difference(found, cells, name, float(final[k]), float(deviations[k]), gains[k], ties[name])
         for k, name in enumerate(chosen)
     )
@@ -200,10 +200,10 @@ def differences(found: SimulatedProduct) -> TerrainDifferences | str | None:
             np.where(cells.usable, DB * np.log(cells.measured / power), np.nan)
             for power in (bare, cells.model(chosen, final).power)
         ]
-    words = [one.words for one in told] or ["of all that is asked, these pixels confirm nothing"]
+    words = [one.words for one in sentences] or ["of all that is asked, these pixels confirm nothing"]
     words.append(_farthest(found, cells, pictures[1]))
     return TerrainDifferences(
-        cells.cell, told, (*asked, *cells.parts_asked), sum(squares), (left_over[0], left_over[1]), tuple(words),
+        cells.cell, sentences, (*asked, *cells.parts_asked), sum(squares), (left_over[0], left_over[1]), tuple(words),
         pictures[0], pictures[1],
     )  # fmt: skip
 

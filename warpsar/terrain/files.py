@@ -76,8 +76,8 @@ def writers(found: SimulatedProduct, out: Path, file_format: str) -> dict[str, C
         image = {name: values for name, values in found.image.items() if name not in PLACE}
         place = {name: found.image[name] for name in PLACE}
         axes = "rows: lines of the product from first_line on; columns: its pixels from first_pixel on"
-        said = {**facts(found), "axes": axes}
-        tags = {**said, **_units(image, False)}, {**said, **_units(place, False)}
+        attrs = {**facts(found), "axes": axes}
+        tags = {**attrs, **_units(image, False)}, {**attrs, **_units(place, False)}
         on_map = {**facts(found), **_units(found.map, True)}
         return {
             "image.tif": partial(write_cog, out / "image.tif", image, tags[0]),
@@ -99,14 +99,14 @@ def _write_netcdf(path: Path, data: xarray.Dataset) -> None:
         import h5netcdf
 
         with h5netcdf.File(temporary, "a") as file:
-            for name, said in layers.items():
+            for name, attrs in layers.items():
                 one = data[name]
                 chunks = tuple(min(CHUNK, n) for n in one.shape)
                 variable = file.create_variable(
                     name, one.dims, one.dtype, fillvalue=one.dtype.type(np.nan), chunks=chunks, compression="gzip",
                     compression_opts=4,
                 )  # fmt: skip
-                variable.attrs.update(said)
+                variable.attrs.update(attrs)
                 _fill(variable, one.data)
 
 
@@ -141,12 +141,12 @@ def _write_zarr(path: Path, data: xarray.Dataset) -> None:
         import zarr
 
         group = zarr.open_group(temporary, mode="a", zarr_format=2)
-        for name, said in layers.items():
+        for name, attrs in layers.items():
             one = data[name]
-            listed = {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in said.items()}
+            listed = {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in attrs.items()}
             array = group.create_array(
                 name, shape=one.shape, dtype=one.dtype, chunks=tuple(min(CHUNK, n) for n in one.shape),
-                fill_value=float("nan"), attributes={**listed, "_ARRAY_DIMENSIONS": [str(each) for each in one.dims]},
+                fill_value=float("nan"), attrs={**listed, "_ARRAY_DIMENSIONS": [str(each) for each in one.dims]},
             )  # fmt: skip
             _fill(array, one.data)
         zarr.consolidate_metadata(temporary, zarr_format=2)
@@ -183,8 +183,8 @@ def map_dataset(found: SimulatedProduct) -> xarray.Dataset:
     rows, columns = next(iter(found.map.values())).shape
     variables: dict[str, Any] = {}
     for name, values in found.map.items():
-        dimensions, array, attributes = _variable(("y", "x"), values, of_map(name))
-        variables[name] = dimensions, array, {**attributes, "grid_mapping": "spatial_ref"}
+        dimensions, array, attrs = _variable(("y", "x"), values, of_map(name))
+        variables[name] = dimensions, array, {**attrs, "grid_mapping": "spatial_ref"}
     affine = place.affine
     words = " ".join(f"{each:.17g}" for each in affine.to_gdal())
     variables["spatial_ref"] = (), np.int32(0), {**_grid_mapping(place.crs), "GeoTransform": words}
@@ -210,16 +210,16 @@ def _dataset(
 ) -> xarray.Dataset:
     import xarray
 
-    said = facts(found)
+    attrs = facts(found)
     now = f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}"
     made = xarray.Dataset(
         variables,
         coordinates,
         {
             "Conventions": "CF-1.11",
-            "title": f"Simulated twin of {said['product']}, on the {where}",
-            "history": f"{now} {said['software']}: twin of {said['product']} over {said['elevation_model']}",
-            **said,
+            "title": f"Simulated twin of {attrs['product']}, on the {where}",
+            "history": f"{now} {attrs['software']}: twin of {attrs['product']} over {attrs['elevation_model']}",
+            **attrs,
         },
     )
     for name in set(coordinates) & set(made.dims):
@@ -232,12 +232,12 @@ def _grid_mapping(crs: Any) -> dict[str, Any]:
     import pyproj
 
     wkt = crs.to_wkt()
-    said = pyproj.CRS.from_wkt(wkt).to_2d().to_cf() if crs else {}
-    return {**{key: value for key, value in said.items() if value != "unknown"}, "crs_wkt": wkt}
+    attrs = pyproj.CRS.from_wkt(wkt).to_2d().to_cf() if crs else {}
+    return {**{key: value for key, value in attrs.items() if value != "unknown"}, "crs_wkt": wkt}
 
 
 def _variable(dimensions: tuple[str, str], values: np.ndarray, layer: Layer) -> tuple[Any, np.ndarray, dict[str, Any]]:
-    attributes = {"long_name": layer.words, "units": layer.unit}
+    attrs = {"long_name": layer.words, "units": layer.unit}
     if layer.standard_name is not None:
-        attributes["standard_name"] = layer.standard_name
-    return dimensions, values, attributes
+        attrs["standard_name"] = layer.standard_name
+    return dimensions, values, attrs

@@ -46,8 +46,8 @@ def run(
     scene = scenes[-1][1]
     faces, views = len(scene.mesh.faces), len(scene.views)
     title = Path(scene.path).parent.name + "/" + Path(scene.path).name if scene.path else "scene"
-    lead = f"warpsar {__version__} view; {faces:,} triangles, {views} view{'s' * (views != 1)}"
-    write(out / "view.html", page(title, lead, states))
+    summary = f"warpsar {__version__} view; {faces:,} triangles, {views} view{'s' * (views != 1)}"
+    write(out / "view.html", page(title, summary, states))
     return out / "view.html"
 
 

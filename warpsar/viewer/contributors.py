@@ -55,14 +55,14 @@ def run(
     total = _total(found)
     with np.errstate(divide="ignore"):
         levels = 10.0 * np.log10(4.0 * np.pi * np.abs(total) ** 2)
-    said = ", ".join(f"{name} {level:.1f} dBsm" for name, level in zip(found.polarizations, levels, strict=True))
-    lead = (
+    dbsm = ", ".join(f"{name} {level:.1f} dBsm" for name, level in zip(found.polarizations, levels, strict=True))
+    summary = (
         f"warpsar {__version__} rcs; azimuth {azimuth_deg:g}\u00b0, incidence {incidence_deg:g}\u00b0, "
-        f"{found.frequency_hz / 1e9:g} GHz: {said}. Colours show what a piece of each face or edge sends, half a "
+        f"{found.frequency_hz / 1e9:g} GHz: {dbsm}. Colours show what a piece of each face or edge sends, half a "
         "wavelength wide, so that they do not depend on the mesh. Neighbours may cancel. A path of several faces "
         "counts for each of them with what it sends from there."
     )
-    write(out / NAME, page(f"What sends back: {path.name}", lead, [_state(scene, found, surface)]))
+    write(out / NAME, page(f"What sends back: {path.name}", summary, [_state(scene, found, surface)]))
     return out / NAME
 
 

@@ -36,10 +36,10 @@ class State:
     spacing_m: tuple[float, float]
 
 
-def page(title: str, lead: str, states: Sequence[State]) -> str:
-    """The document. `title` and `lead` are plain text."""
+def page(title: str, summary: str, states: Sequence[State]) -> str:
+    """The document. `title` and `summary` are plain text."""
     style, script, three = ((ASSETS / name).read_text("utf-8") for name in ("viewer.css", "viewer.js", "three.min.js"))
-    names = {"title": title, "lead": lead}
+    names = {"title": title, "lead": summary}
     body = (ASSETS / "viewer.html").read_text("utf-8")
     for name, text in names.items():
         body = body.replace(f"{{{{{name}}}}}", escape(text))

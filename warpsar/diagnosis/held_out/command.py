@@ -59,8 +59,8 @@ def run(
         write_report(out / "report.html", result, content, words, where)
         if not result.not_asked:
             checkpoint.remove(out)
-        for said in judgement(result):
-            console.say(said)
+        for verdict_words in judgement(result):
+            console.say(verdict_words)
         console.say_written(out, "report.html", "diagnosis.json", "scene.toml")
         print(sentence(result), file=sys.stdout)
         return content

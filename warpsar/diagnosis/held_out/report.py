@@ -96,7 +96,7 @@ def write_report(
     """`content` is that of diagnosis.json, `command` the words that made it."""
     count = sum(len(fold) for fold in result.folds)
     rows, cols = result.scene.grid.shape
-    lead = (
+    summary = (
         f"{Path(result.scene.path or 'the scene').name}: {count} train views of {rows} x {cols} pixels, left out in "
         f"{len(result.folds)} parts, in arcs of azimuth"
     )
@@ -112,7 +112,7 @@ def write_report(
         ),
     ]
     title = sentence(result)
-    report.write(path, report.page(title[0].upper() + title[1:] + ".", lead, *sections))
+    report.write(path, report.page(title[0].upper() + title[1:] + ".", summary, *sections))
 
 
 def _in_short(result: HeldOut) -> str:

@@ -482,8 +482,8 @@ class FoldSearch:
             if gain + error <= 0.0:
                 self._refuse(label, gain, error)
                 continue
-            begun = [one.started(scene, table, self.start if on_declared else scene) for scene in model.scenes]
-            trial = self._fitted(begun, partial(self._hopeless, label, model))
+            first = [one.started(scene, table, self.start if on_declared else scene) for scene in model.scenes]
+            trial = self._fitted(first, partial(self._hopeless, label, model))
             if trial is not None and self._judged(label, model, trial.scores):
                 had = frozenset(model.scenes[0].effects[one.effect]) if one.extension else frozenset(table)
                 keys = frozenset(table) - had
@@ -531,13 +531,13 @@ class FoldSearch:
         found: list[np.ndarray] = []
         without, full = None, model
         for _ in range(DRAWS):
-            begun, full = full, self._again(full)
+            reduced, full = full, self._again(full)
 
             def enough(scores: np.ndarray, full: Model = full) -> bool:
                 first.append(mean_and_error(scores - self._of_first(full)))
                 return not found and first[-1][0] > CERTAIN * first[-1][1]
 
-            bare = self._fitted([one.taken_from(with_other_rays(scene)) for scene in begun.scenes], enough)
+            bare = self._fitted([one.taken_from(with_other_rays(scene)) for scene in reduced.scenes], enough)
             if bare is None:
                 worth, error = first[-1]
                 return TrialStep(label, worth / EXPECTED, error / EXPECTED, 0.0, True, True, True), None
@@ -736,16 +736,16 @@ class FoldSearch:
         """A rival of the model at its best: as `made` of the model, or as it was when it was asked last; its sizes and
         the angle of the views moved, and all else fitted, from there and from the declared surface. With its profiles.
         """
-        begun = [made(scene) for scene in self._model.scenes]
+        first = [made(scene) for scene in self._model.scenes]
         offsets: Sequence[float] = WIDE
         if name in self._rivals:
             pairs = zip(self._rivals[name].scenes, self._model.scenes, strict=True)
-            begun = [replace(rival, materials=one.materials, effects=one.effects) for rival, one in pairs]
+            first = [replace(rival, materials=one.materials, effects=one.effects) for rival, one in pairs]
             offsets = NEAR
         mine = {one.label: one for one in self.numbers}
-        own = [mine.get(one.label, one) for one in numbers(begun[0])]
+        own = [mine.get(one.label, one) for one in numbers(first[0])]
         free = [one for one in own if one.parameter.root == "views" or one.parameter.owner in self.bodies]
-        now, profiles = self._profiled(begun, free, offsets)
+        now, profiles = self._profiled(first, free, offsets)
         # the rival at its best: the body's surface may lead it into a valley
         self._rivals[name] = self._surely_fitted(now, [as_declared(self.start, scene) for scene in now])
         return self._rivals[name], profiles

@@ -81,13 +81,13 @@ def sentences(left: Left) -> list[str]:
             "What is left needs no explanation: speckle alone leaves as much.",
             *_clipped(left),
         ]
-    said = [first_sentence(left)]
+    sentences = [first_sentence(left)]
     moves = left.moves
     numbers = f" (z {moves.z_surface:.1f} along the surface, {moves.z_image:.1f} in the image)"
-    said.append(_MOVES[moves.way] + ("" if moves.way == "one view" else numbers) + ".")
+    sentences.append(_MOVES[moves.way] + ("" if moves.way == "one view" else numbers) + ".")
     if left.shape.kind == "periodic":
         s = left.spectrum
-        said.append(
+        sentences.append(
             f"It repeats every {s.period_m:.3g} m ({s.peak_range:.3g} per metre in range, {s.peak_azimuth:+.3g} in "
             f"azimuth; -ln p {s.minus_log_p:.1f})."
         )
@@ -97,12 +97,12 @@ def sentences(left: Left) -> list[str]:
         ("By incidence", left.incidences),
         ("By polarization", left.polarizations),
     ):
-        said += _shares(what, shares)
+        sentences += _shares(what, shares)
     impossible = [one for one in left.dark if one.impossible]
     if impossible:
         some = ", ".join(f"{one.impossible} of {one.pixels} in {one.image}" for one in impossible)
-        said.append(f"Dark pixels measure power that the model cannot have: {some}.")
-    return said + _clipped(left)
+        sentences.append(f"Dark pixels measure power that the model cannot have: {some}.")
+    return sentences + _clipped(left)
 
 
 def _shares(what: str, shares: Sequence[PowerRatio]) -> list[str]:

@@ -127,7 +127,7 @@ def asked(folds: Sequence[AzimuthSpectrum], seed: int = 0) -> Asked:
             "an error of 2 pi at the ends of the aperture, put into the image as it is, would not be found: there are "
             "no points and no edges that tell",
         )
-    told = partial(
+    result = partial(
         PhaseFound,
         gain=rows.search(found.family).gain,
         gain_of_speckle=speckle.moments(found.family),
@@ -136,14 +136,14 @@ def asked(folds: Sequence[AzimuthSpectrum], seed: int = 0) -> Asked:
     )
     if found.sure:
         why = "beside real weights on the spectrum a phase adds nothing to rows that decided nothing"
-        return Asked(told("not told", why), MotionFound("not told", why))
+        return Asked(result("not told", why), MotionFound("not told", why))
     cubic = least_found(rows, speckle, CUBIC)
     more = "" if cubic is None else f", a cubic one from {cubic:.2g} rad on"
     why = (
         f"rows that decided nothing get no sharper; in this image a quadratic error would be found from {least:.2g} "
         f"rad on{more} ({FOUND:.0%} of draws)"
     )
-    return Asked(told("absent", why, least_cubic_rad=cubic), _not_moved(rows, speckle))
+    return Asked(result("absent", why, least_cubic_rad=cubic), _not_moved(rows, speckle))
 
 
 def _both(outcome: Outcome, why: str) -> Asked:
@@ -153,10 +153,10 @@ def _both(outcome: Outcome, why: str) -> Asked:
 def _named(rows: FoldedRows, speckle: SpeckleGains, found: Present) -> Asked:
     """There is a phase error: does it change with range?"""
     motion = _motion(rows, speckle)
-    told = partial(PhaseFound, gain_of_weights=found.weights)
+    result = partial(PhaseFound, gain_of_weights=found.weights)
     if motion.outcome == "named":
         why = "what all ranges share is stated with the error of the track, which gives it, too"
-        return Asked(told("not told", why), motion)
+        return Asked(result("not told", why), motion)
     simple, more, finer = (rows.search(one) for one in (QUADRATIC, POLYNOMIAL, SPLINE))
     mean, sd = speckle.moments(POLYNOMIAL)
     best = simple if simple.gain >= more.gain - sd else more
@@ -166,8 +166,8 @@ def _named(rows: FoldedRows, speckle: SpeckleGains, found: Present) -> Asked:
         f"under real weights by {found.weights:.3g}, and beside these the phase adds {found.beside:.3g}"
     )
     whole, error = _of_all_rows(rows, best.family)
-    told = partial(told, family=best.family.name, coefficients=tuple(whole.tolist()), error=tuple(error.tolist()))
-    return Asked(told("named", why, gain=best.gain, gain_of_speckle=(mean, sd)), motion)
+    result = partial(result, family=best.family.name, coefficients=tuple(whole.tolist()), error=tuple(error.tolist()))
+    return Asked(result("named", why, gain=best.gain, gain_of_speckle=(mean, sd)), motion)
 
 
 def _motion(rows: FoldedRows, speckle: SpeckleGains) -> MotionFound:
@@ -176,10 +176,10 @@ def _motion(rows: FoldedRows, speckle: SpeckleGains) -> MotionFound:
         return _not_moved(rows, speckle)
     found = moved(rows, speckle)
     mean, sd = speckle.moments(found.family, found.less)
-    told = partial(MotionFound, gain=found.gain, gain_of_speckle=(mean, sd), gain_of_bent=found.rival)
+    result = partial(MotionFound, gain=found.gain, gain_of_speckle=(mean, sd), gain_of_bent=found.rival)
     if not found.named:
         if found.rival:
-            return told("not told", "a part that goes with the square of the look direction does as well")
+            return result("not told", "a part that goes with the square of the look direction does as well")
         return replace(_not_moved(rows, speckle), gain=found.gain, gain_of_speckle=(mean, sd))
     simple, more = rows.search(QUADRATIC_MOTION), rows.search(MOTION)
     best = simple if simple.gain >= more.gain - speckle.moments(MOTION)[1] else more
@@ -189,7 +189,7 @@ def _motion(rows: FoldedRows, speckle: SpeckleGains) -> MotionFound:
     )
     whole, error = _of_all_rows(rows, best.family)
     same, aside = (_filled(part) for part in np.split(whole, 2))
-    return told("named", why, same, aside, sum((_filled(part) for part in np.split(error, 2)), ()))
+    return result("named", why, same, aside, sum((_filled(part) for part in np.split(error, 2)), ()))
 
 
 def _not_moved(rows: FoldedRows, speckle: SpeckleGains) -> MotionFound:

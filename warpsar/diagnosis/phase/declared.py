@@ -60,8 +60,8 @@ class PhaseAsked:
     @property
     def words(self) -> str:
         """One or two sentences."""
-        said = self._of_phase()
-        return said if (more := self._of_motion()) is None else f"{said}. {more}"
+        text = self._of_phase()
+        return text if (more := self._of_motion()) is None else f"{text}. {more}"
 
     def _of_motion(self) -> str | None:
         one = self.motion
@@ -150,11 +150,11 @@ def _asked(scene: Scene, view: View) -> PhaseAsked:
         aside, slant = _aside(scene, view, range_m), scene.slant_range_m(view)
         stretch = None if slant is None else (slant + range_m) / slant
         widest = 0.0 if aside is None else float(np.abs(aside).max())
-        told = np.zeros(len(image)) if aside is None or not widest else aside / widest
+        ratio = np.zeros(len(image)) if aside is None or not widest else aside / widest
         known = np.where(np.isfinite(image), image, 0.0).astype(np.complex64)
         for fold, mask in zip(folds, folds_of(len(known), spacing[0], cells[0]), strict=True):
             fold.append(
-                AzimuthSpectrum.of(known[mask], spacing, cells, told[mask], None if stretch is None else stretch[mask])
+                AzimuthSpectrum.of(known[mask], spacing, cells, ratio[mask], None if stretch is None else stretch[mask])
             )
     joined, seed = [AzimuthSpectrum.joined(one) for one in folds], scene.sampling.seed
     found, motion = asked(joined, seed=seed)

@@ -144,12 +144,12 @@ def _starts(trial: F64, aside: F64 | None) -> list[tuple[float, float]]:
     A row sees the sum of both parts, so what each row says of one phase tells the mean of all under any two.
     """
     asides = np.zeros(1) if aside is None else _TRIED_ASIDE
-    told = np.empty((len(_TRIED), len(asides)))
+    score = np.empty((len(_TRIED), len(asides)))
     for k, q in enumerate(asides):
-        told[:, k] = trial.mean(axis=0) if aside is None else _shifted(trial, aside * q).mean(axis=0)
-    peak = told == maximum_filter(told, size=3, mode="nearest")
-    order = np.argsort(np.where(peak, told, -np.inf).ravel())[::-1][: min(_STARTS, int(peak.sum()))]
-    row, column = np.unravel_index(order, told.shape)
+        score[:, k] = trial.mean(axis=0) if aside is None else _shifted(trial, aside * q).mean(axis=0)
+    peak = score == maximum_filter(score, size=3, mode="nearest")
+    order = np.argsort(np.where(peak, score, -np.inf).ravel())[::-1][: min(_STARTS, int(peak.sum()))]
+    row, column = np.unravel_index(order, score.shape)
     return list(zip(_TRIED[row].tolist(), asides[column].tolist(), strict=True))
 
 

@@ -52,8 +52,8 @@ def shows(rows: FoldedRows, speckle: SpeckleGains, kind: Injected, size_rad: flo
     several = []
     for sign in _SIGNS:
         blurred = rows.under([kind.phase(lines, -sign * size_rad) for lines in rows.folds])
-        told = [speckle.beyond(drawn @ (rows.search(one).sharp - blurred), one) > 0.0 for one in families]
-        several.append(np.any(told, axis=0))
+        exceeding = [speckle.beyond(drawn @ (rows.search(one).sharp - blurred), one) > 0.0 for one in families]
+        several.append(np.any(exceeding, axis=0))
     return float(np.mean(several))
 
 
@@ -79,9 +79,9 @@ def _is_found(rows: FoldedRows, speckle: SpeckleGains, kind: Injected) -> bool:
 
 def _blocks_drawn(rows: FoldedRows) -> F64:
     """How often each row is there when blocks of neighbours are drawn again, (draws, rows)."""
-    random, told = np.random.default_rng(7), []
+    random, drawn = np.random.default_rng(7), []
     for lines in rows.folds:
         block = lines.row_blocks()
         blocks = int(block[-1]) + 1
-        told.append(random.multinomial(blocks, np.full(blocks, 1.0 / blocks), _DRAWS)[:, block])
-    return np.concatenate(told, axis=1).astype(np.float64)
+        drawn.append(random.multinomial(blocks, np.full(blocks, 1.0 / blocks), _DRAWS)[:, block])
+    return np.concatenate(drawn, axis=1).astype(np.float64)

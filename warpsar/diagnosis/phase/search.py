@@ -144,13 +144,13 @@ class SpeckleGains:
     def tells(self, family: PhaseFamily) -> bool:
         """Whether the rows lose more contrast beside their best phase than speckle does beside its own: without points
         and edges both folds may agree by chance, and one phase is as good as the next."""
-        told = self._root * np.array([drawn.loss(family) for drawn in self._drawn()])
-        return self._rows.loss(family) > float(told.mean() + SURE * told.std(ddof=1))
+        losses = self._root * np.array([drawn.loss(family) for drawn in self._drawn()])
+        return self._rows.loss(family) > float(losses.mean() + SURE * losses.std(ddof=1))
 
     def moments(self, family: PhaseFamily, less: PhaseFamily | None = None) -> tuple[float, float]:
         """Mean and standard deviation of what a family gains, beyond what another does."""
-        told = self.gains[family] if less is None else self.gains[family] - self.gains[less]
-        return float(told.mean()), float(told.std(ddof=1))
+        differences = self.gains[family] if less is None else self.gains[family] - self.gains[less]
+        return float(differences.mean()), float(differences.std(ddof=1))
 
     def beyond(self, gain: float | F64, family: PhaseFamily, less: PhaseFamily | None = None) -> F64:
         """How far a gain lies beyond what is sure not to be speckle's; negative where it does not."""

@@ -84,12 +84,12 @@ class AzimuthSpectrum:
         index = np.flatnonzero(np.abs(place) <= 1.0)
         found = fft.fft(image, length, axis=1)[:, index].astype(np.complex64)
         some = (np.abs(found) ** 2).sum(axis=1) > 0.0
-        found, told = found[some], np.zeros(len(image)) if aside is None else aside
+        found, ratio = found[some], np.zeros(len(image)) if aside is None else aside
         found /= (_level(found, place[index]) ** LEVEL_SHARE).astype(np.float32)
         known = np.ones(len(image)) if stretch is None or np.ptp(stretch**2) <= _ALIKE else stretch
         rows, columns = (2 * int(0.5 * WINDOW_CELLS * c / s) + 1 for c, s in zip(cells_m, spacing_m, strict=True))
         inside = slice(border, image.shape[1] - border)
-        return cls(found, place[index], index, length, inside, (rows, columns), told[some], known[some])
+        return cls(found, place[index], index, length, inside, (rows, columns), ratio[some], known[some])
 
     def __len__(self) -> int:
         return len(self.spectrum)

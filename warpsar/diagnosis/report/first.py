@@ -54,7 +54,7 @@ def first_screen(done: Diagnosed, out: Path) -> list[str]:
         if _speckle_alone(done)
         else f"measured over modelled power, averaged over {SMOOTHED} x {SMOOTHED} pixels"
     )
-    said = (
+    text = (
         f"The pictures show {image.name}, a {image.role} image. Residual: {residual}; grey where nothing is compared. "
         "Click on a picture to enlarge it."
     )
@@ -63,7 +63,7 @@ def first_screen(done: Diagnosed, out: Path) -> list[str]:
         _pictures(done, number),
         report.heading("What to do next"),
         *(block for step in next_steps(done, out) for block in _step(step)),
-        report.paragraph(said, quiet=True),
+        report.paragraph(text, quiet=True),
     ]
 
 

@@ -43,7 +43,7 @@ def write_report(
     """`path` lies beside the written scene. `content` is that of diagnosis.json, `command` the words that made it."""
     diagnosis = done.diagnosis
     rows, cols = diagnosis.scene.grid.shape
-    lead = f"{Path(diagnosis.scene.path or 'the scene').name}: {len(done.models[0])} images of {rows} x {cols} pixels"
+    intro = f"{Path(diagnosis.scene.path or 'the scene').name}: {len(done.models[0])} images of {rows} x {cols} pixels"
     sections = [
         *first_screen(done, path.parent),
         summary_section(done, content),
@@ -59,7 +59,7 @@ def write_report(
             content, command, "Beside this file: diagnosis.json (all numbers), scene.toml (the model at the end)."
         ),
     ]
-    report.write(path, report.page(_phase_sentence(phases) + verdict_sentence(done), lead, *sections))
+    report.write(path, report.page(_phase_sentence(phases) + verdict_sentence(done), intro, *sections))
 
 
 def _not_tested(turn: Turn) -> str:

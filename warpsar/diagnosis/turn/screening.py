@@ -71,33 +71,33 @@ class Screening:
 
     def _glance(self, surfaces: Sequence[Scene]) -> Glance:
         best: Glance | None = None
-        begun: dict[tuple[float, int], tuple[FitProblem, FitState]] = {}
+        opened: dict[tuple[float, int], tuple[FitProblem, FitState]] = {}
         # a start where the effect does nothing is flat and ends at once; another begins far off and takes longer
         for share, until in ((1.0, GLANCE), (1.0, QUICK_ITERATIONS), *((share, GLANCE) for share in NEARER)):
             if best is not None and best.log_likelihood > self.base.log_likelihood + HARDLY_BETTER:
                 break
             for number, surface in enumerate(surfaces):
-                if (share, number) not in begun:
+                if (share, number) not in opened:
                     table = toward_neutral(self.name, self.tables[0], share)
                     problem = self.setup.problem(with_effect(surface, self.name, table))
-                    begun[share, number] = problem, standing_at(problem, problem.x0)
-                problem, state = begun[share, number]
+                    opened[share, number] = problem, standing_at(problem, problem.x0)
+                problem, state = opened[share, number]
                 state = onward(problem, state, until)
-                begun[share, number] = problem, state
+                opened[share, number] = problem, state
                 fitted = _fitted(self.setup, problem, state)
                 if best is None or fitted.whole > best.whole:
                     self._problem, best = problem, Glance(number, state, fitted.log_likelihood, fitted.whole)
         assert best is not None
         return best
 
-    def finish(self, lead: float, dark: Dark = NO_DARK, *, refine: bool = True) -> tuple[Fitted, bool]:
-        """The best of all tables, refined by them (`refined`), and whether its fit was given up; `lead` is the
+    def finish(self, best_so_far: float, dark: Dark = NO_DARK, *, refine: bool = True) -> tuple[Fitted, bool]:
+        """The best of all tables, refined by them (`refined`), and whether its fit was given up; `best_so_far` is the
         log-likelihood of the best other candidate. Best by likelihood, less half a ln(pixels) for each parameter: three
         that shift the world are not taken for what two explain."""
         problem = self._problem or self.setup.problem(with_effect(self._surface, self.name, self.tables[0]))
         state = self.glanced.state
         # dark pixels, if any, cost the effect what they cost it now
-        limit = self.glanced.whole - self.glanced.log_likelihood + lead
+        limit = self.glanced.whole - self.glanced.log_likelihood + best_so_far
         numbers = [{p.name: table.get(p.name) for p in get(self.name).parameters} for table in self.tables[:STARTS]]
         found: list[Fitted] = []
         given_up: list[bool] = []
@@ -114,10 +114,10 @@ class Screening:
         price = 0.5 * np.log(sum(int(seen.interior.sum()) for seen in problem.observations))
         best = max(range(len(found)), key=lambda k: found[k].log_likelihood - price * found[k].size)
         before = self.base.log_likelihood
-        if not refine or CLIMB * (found[best].log_likelihood - before) < lead - before:
+        if not refine or CLIMB * (found[best].log_likelihood - before) < best_so_far - before:
             return found[best], given_up[best]
         climbed = refined(self.setup, found[best], self.name, self.tables, dark)
-        return climbed, given_up[best] and climbed.log_likelihood < lead
+        return climbed, given_up[best] and climbed.log_likelihood < best_so_far
 
 
 def _fitted(setup: FitSetup, problem: FitProblem, state: FitState) -> Fitted:

@@ -72,7 +72,7 @@ def _judged(found: Sequence[Amplitude]) -> Signature:
     """Several places: one that holds less than half of the effect or more than twice speaks against it."""
     known = [one for one in found if one.error < KNOWN]
     numbers = {f"{one.part}: {key}": getattr(one, key) for one in known for key in ("value", "error")}
-    said = ", ".join(f"{one.part} {one.value:.2f} +- {one.error:.2f}" for one in known)
+    parts = ", ".join(f"{one.part} {one.value:.2f} +- {one.error:.2f}" for one in known)
     whole = Amplitude("the whole", 1.0, 0.0)
     wrong = [
         one for one in found if _less(one, whole) or _less(whole, one) or any(_less(one, other) for other in found)
@@ -83,10 +83,10 @@ def _judged(found: Sequence[Amplitude]) -> Signature:
         return Signature("against", f"{some}, where all must hold 1", numbers)
     held = [one for one in known if AT_LEAST < one.value < AT_MOST and one.value > SURE * one.error]
     if any(_apart(one, other) for one, other in combinations(known, 2)):
-        return Signature("none", f"its size differs from place to place: {said}", numbers)
+        return Signature("none", f"its size differs from place to place: {parts}", numbers)
     if len(held) > 1 and len(held) == len(known):
-        return Signature("confirmed", f"its size by place, 1 in all: {said}", numbers)
-    return Signature("none", f"too few data for a test by place{': ' if said else ''}{said}", numbers)
+        return Signature("confirmed", f"its size by place, 1 in all: {parts}", numbers)
+    return Signature("none", f"too few data for a test by place{': ' if parts else ''}{parts}", numbers)
 
 
 def _apart(one: Amplitude, other: Amplitude) -> bool:

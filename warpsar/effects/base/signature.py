@@ -107,11 +107,11 @@ def power_in(images: Sequence[SeenImage], masks: Sequence[np.ndarray], what: str
     spread = float(np.diff(np.percentile(shares, [25, 75]))[0]) / 1.35
     error = 1.25 * spread * float(np.sqrt(SHARED / shares.size))
     numbers = {"pixels": float(shares.size), "share": share, "error": error}
-    said = f"{shares.size} pixels {where} measure {share:.2f} +- {error:.2f} of the power that {what} has there"
+    facts = f"{shares.size} pixels {where} measure {share:.2f} +- {error:.2f} of the power that {what} has there"
     if share + SURE * error < AT_LEAST or share - SURE * error > AT_MOST:
-        return Signature("against", said, numbers)
+        return Signature("against", facts, numbers)
     held = error < KNOWN and AT_LEAST < share < AT_MOST
-    return Signature("confirmed" if held else "none", said, numbers)
+    return Signature("confirmed" if held else "none", facts, numbers)
 
 
 def looks_on(images: Sequence[SeenImage], masks: Sequence[np.ndarray]) -> tuple[float, float]:

@@ -29,11 +29,11 @@ class Declared:
         """Where a width is not that of its band and weights."""
         found = []
         for name, width, band, cells in zip(("Row", "Col"), self.width_m, self.band, self.cells, strict=True):
-            said = f"{source}: Grid.{name}.ImpRespWid = {width:.4g} m contradicts ImpRespBW = {band:.4g} 1/m, which"
+            message = f"{source}: Grid.{name}.ImpRespWid = {width:.4g} m contradicts ImpRespBW = {band:.4g} 1/m, which"
             if cells is not None and abs(width * band / cells - 1.0) > _AGREE:
-                found.append(f"{said} gives {cells / band:.4g} m with the header's weights")
+                found.append(f"{message} gives {cells / band:.4g} m with the header's weights")
             elif cells is None and width * band < UNIFORM * (1.0 - _AGREE):
-                found.append(f"{said} holds {UNIFORM / band:.4g} m at best")
+                found.append(f"{message} holds {UNIFORM / band:.4g} m at best")
         return found
 
 
