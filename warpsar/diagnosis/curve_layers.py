@@ -49,7 +49,7 @@ class Family:
 
     kind: Kind
     ends: tuple[tuple[float, float], ...]
-    told: dict[str, tuple[float, ...]]
+    products: dict[str, tuple[float, ...]]
     """What is reported, as the powers in a product of the three numbers."""
 
     def layer(self, u: NDArray[np.float64], shortest_m: float) -> MaterialLayer:
@@ -83,8 +83,8 @@ def coated(layer: MaterialLayer) -> Material:
 def layer_of(kind: Kind, values: dict[str, ProfileInterval]) -> MaterialLayer:
     """The likeliest layer, from what is reported of it."""
     family = next(one for one in FAMILIES if one.kind == kind)
-    rows = np.array(list(family.told.values()), float)
-    u, *_ = np.linalg.lstsq(rows, np.log([values[name].value for name in family.told]), rcond=None)
+    rows = np.array(list(family.products.values()), float)
+    u, *_ = np.linalg.lstsq(rows, np.log([values[name].value for name in family.products]), rcond=None)
     return family.layer(u, 1.0)
 
 
@@ -157,7 +157,7 @@ def layered(part: str, probed: Probed, family: Family, declared: float) -> Mater
     curves = probed.add(family.layer(best, probed.shortest_m))
     values = {}
     if -loss(best) > declared:
-        for name, powers in family.told.items():
+        for name, powers in family.products.items():
             unit = probed.shortest_m ** powers[0]
             values[name] = _profile(loss, best, np.array(powers, float), ends, unit)
     return MaterialHypothesis(part, family.kind, curves, parameters=ends.shape[0], values=values)
@@ -166,8 +166,14 @@ def layered(part: str, probed: Probed, family: Family, declared: float) -> Mater
 def _least(
     loss: Callable[[NDArray[np.float64]], float], u: NDArray[np.float64], ends: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    options = {"eps": 1e-3, "ftol": 1e-5, "maxiter": _STEPS}
-    return np.asarray(minimize(loss, np.clip(u, *ends.T), method="L-BFGS-B", bounds=Bounds(*ends.T), options=options).x)
+    found = minimize(
+        loss,
+        np.clip(u, *ends.T),
+        method="L-BFGS-B",
+        bounds=Bounds(*ends.T),
+        options={"eps": 1e-3, "ftol": 1e-5, "maxiter": _STEPS},
+    )
+    return np.asarray(found.x)
 
 
 def _profile(
