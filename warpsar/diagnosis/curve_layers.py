@@ -166,8 +166,14 @@ def layered(part: str, probed: Probed, family: Family, declared: float) -> Mater
 def _least(
     loss: Callable[[NDArray[np.float64]], float], u: NDArray[np.float64], ends: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    options = {"eps": 1e-3, "ftol": 1e-5, "maxiter": _STEPS}
-    return np.asarray(minimize(loss, np.clip(u, *ends.T), method="L-BFGS-B", bounds=Bounds(*ends.T), options=options).x)
+    found = minimize(
+        loss,
+        np.clip(u, *ends.T),
+        method="L-BFGS-B",
+        bounds=Bounds(*ends.T),
+        options={"eps": 1e-3, "ftol": 1e-5, "maxiter": _STEPS},
+    )
+    return np.asarray(found.x)
 
 
 def _profile(
