@@ -45,10 +45,10 @@ class Spot:
     window: Window
 
     @classmethod
-    def from_content(cls, told: Mapping[str, Any]) -> Spot:
+    def from_content(cls, content: Mapping[str, Any]) -> Spot:
         """The spot that `asdict` gave, back from JSON."""
-        window = told["window"]  # one number in checkpoints of before
-        return cls(**{**told, "window": (window, window) if isinstance(window, int) else tuple(window)})
+        window = content["window"]  # one number in checkpoints of before
+        return cls(**{**content, "window": (window, window) if isinstance(window, int) else tuple(window)})
 
 
 class Scan:

@@ -146,7 +146,7 @@ def _write_zarr(path: Path, data: xarray.Dataset) -> None:
             listed = {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in attrs.items()}
             array = group.create_array(
                 name, shape=one.shape, dtype=one.dtype, chunks=tuple(min(CHUNK, n) for n in one.shape),
-                fill_value=float("nan"), attrs={**listed, "_ARRAY_DIMENSIONS": [str(each) for each in one.dims]},
+                fill_value=float("nan"), attributes={**listed, "_ARRAY_DIMENSIONS": [str(each) for each in one.dims]},
             )  # fmt: skip
             _fill(array, one.data)
         zarr.consolidate_metadata(temporary, zarr_format=2)
