@@ -39,13 +39,13 @@ def run_curves(
     held_back = [] if parts is None else held_back_in_turn(scene, parts, cache, where.alias)
     asked = diagnose_curves(scene, cache, where.alias)
     asked.scene.save(out / "scene.toml")
-    content, said = asked.content(), asked.in_short
+    content, summary = asked.content(), asked.in_short
     if held_back:
         gone = lost(asked.verdict, held_back)
         content |= {"held_back": [one.content() for one in held_back], "not_in_every_part": gone}
         for one in held_back:
             console.say(one.words)
-        said += f"; not found with every frequency held back: {', '.join(gone)}" if gone else ""
+        summary += f"; not found with every frequency held back: {', '.join(gone)}" if gone else ""
     content = write_json(out / "diagnosis.json", scene, where, seed, started, content)
     write_curves_report(
         out / "report.html",
@@ -59,5 +59,5 @@ def run_curves(
         beside="scene.toml, diagnosis.json (all numbers)",
     )
     console.say_written(out, "report.html", "diagnosis.json", "scene.toml")
-    print(said, file=sys.stdout)
+    print(summary, file=sys.stdout)
     return content
