@@ -184,7 +184,9 @@ def test_a_thin_sheet_of_plastic_that_was_declared_as_metal_is_named(
     (tmp_path / "scene" / "scene.toml").write_text(text)
     found = run("diagnose", tmp_path / "scene" / "scene.toml", tmp_path / "out")
     assert found["verdict"][0] == "materials.default: dielectric"
-    (asked,) = found["materials"]
+    asked, *layers = found["materials"]
+    outcomes = [("dielectric layer", "refused"), ("magnetic layer", "refused")]  # the curve left out is against both
+    assert sorted((one["kind"], one["outcome"]) for one in layers) == outcomes
     product = (eps - 1) * thickness
     assert asked["eps_r"] is None
     assert asked["product_m"]["low"] < product < asked["product_m"]["high"]

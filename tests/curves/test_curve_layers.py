@@ -114,16 +114,16 @@ def test_probes_foretell_the_sweep_of_another_layer(tmp_path: Path) -> None:
     """A plate of one face: to 1 % of its bare amplitude, over thin and thick layers of both families."""
     from warpsar.diagnosis.curve_materials import _curves
 
-    diagnosable = tmp_path / "plate"
-    diagnosable.mkdir()
-    (diagnosable / "plate.obj").write_text(PLATE)
+    folder = tmp_path / "plate"
+    folder.mkdir()
+    (folder / "plate.obj").write_text(PLATE)
     rows = "\n".join(f"8e9,90,{a},-20" for a in (0, 20, 40, 60))
-    (diagnosable / "VV8.csv").write_text(f"frequency_hz,theta_deg,phi_deg,rcs_dbsm\n{rows}")
-    (diagnosable / "scene.toml").write_text(
+    (folder / "VV8.csv").write_text(f"frequency_hz,theta_deg,phi_deg,rcs_dbsm\n{rows}")
+    (folder / "scene.toml").write_text(
         '[scene]\nmesh = "plate.obj"\n[radar]\nfrequency_hz = 8e9\npolarizations = ["VV"]\n[materials.sheet]\n'
         'conductor = true\n[[curves]]\nfile = "VV8.csv"\npolarization = "VV"\nrole = "train"\n'
     )
-    scene = warpsar.Scene.load(diagnosable / "scene.toml")
+    scene = warpsar.Scene.load(folder / "scene.toml")
 
     def swept(material: warpsar.Material) -> tuple:
         made = warpsar.Scene(**{**vars(scene), "materials": {"sheet": material}})
