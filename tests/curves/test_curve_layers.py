@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,9 @@ from stack_reference import Stack, reflection
 
 import warpsar
 from warpsar.cli.main import main
+from warpsar.curves.materials import MaterialHypothesis
 from warpsar.diagnosis.curve_layers import FAMILIES, Probed, coated, reflections
+from warpsar.diagnosis.curve_materials import beside
 
 PLATE = "usemtl sheet\nv 0 -.12 -.08\nv 0 .12 -.08\nv 0 .12 .08\nv 0 -.12 .08\nf 1 2 3\nf 1 3 4\n"
 PHI = np.arange(-60.0, 60.01, 0.5)
@@ -112,8 +115,6 @@ def test_coefficients_are_those_of_impedances() -> None:
 
 def test_probes_foretell_the_sweep_of_another_layer(tmp_path: Path) -> None:
     """A plate of one face: to 1 % of its bare amplitude, over thin and thick layers of both families."""
-    from warpsar.diagnosis.curve_materials import _curves
-
     folder = tmp_path / "plate"
     folder.mkdir()
     (folder / "plate.obj").write_text(PLATE)
@@ -125,16 +126,16 @@ def test_probes_foretell_the_sweep_of_another_layer(tmp_path: Path) -> None:
     )
     scene = warpsar.Scene.load(folder / "scene.toml")
 
-    def swept(material: warpsar.Material) -> tuple:
-        made = warpsar.Scene(**{**vars(scene), "materials": {"sheet": material}})
-        return _curves(made, tmp_path / "cache", "cpu")
+    def swept(material: warpsar.Material) -> MaterialHypothesis:
+        made = replace(scene, materials={"sheet": material})
+        return beside(tmp_path / "cache", "cpu", "sheet", "metal", made)
 
-    probed = Probed(swept, 299792458.0 / 8e9, lambda: None)
-    (bare,) = swept(warpsar.Material(conductor=True))
+    probed = Probed(swept, 299792458.0 / 8e9)
+    (bare,) = swept(warpsar.Material(conductor=True)).train
     scale = np.abs(bare.terms["model"])
     for family in FAMILIES:
         low, high = np.log(np.array(family.ends)).T
         for share in (0.2, 0.5, 0.7):
             layer = family.layer(low + share * (high - low), probed.shortest_m)
-            (foretold,), (exact,) = probed.beside(layer), swept(coated(layer))
+            (foretold,), (exact,) = probed.beside(layer), swept(coated(layer)).train
             assert (np.abs(foretold.terms["model"] - exact.terms["model"]) < 0.01 * scale + 1e-9).all()

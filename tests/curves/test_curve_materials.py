@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from synthetic import curve, field
 
-from warpsar.curves.materials import MODEL, MaterialHypothesis, ask_materials, opened
+from warpsar.curves.materials import MODEL, Kind, MaterialHypothesis, ask_materials, opened
+from warpsar.curves.observed import ObservedCurve
+from warpsar.curves.shape import ProfileInterval
 
 CASES = (("VV", 5e9, "train"), ("HH", 5e9, "train"), ("VV", 7e9, "test"), ("HH", 7e9, "test"))
+
+
+def hypothesis(part: str, kind: Kind, curves: Sequence[ObservedCurve]) -> MaterialHypothesis:
+    train = tuple(one for one in curves if one.role == "train")
+    return MaterialHypothesis(part, kind, train, lambda: tuple(curves))
 
 
 def hypotheses(
@@ -31,10 +39,10 @@ def hypotheses(
         one = curve(rng, terms, [shown], frequency_hz=frequency, polarization=pol, role=role, background_m2=level)
         for name in made:
             made[name].append(one.beside({MODEL: one.terms[name]}))
-    declared = MaterialHypothesis("", "declared", tuple(made["metal"]))
+    declared = hypothesis("", "declared", made["metal"])
     return declared, [
-        MaterialHypothesis("tip", "dielectric", tuple(made["resin"])),
-        MaterialHypothesis("tail", "dielectric", tuple(made["foil"])),
+        hypothesis("tip", "dielectric", made["resin"]),
+        hypothesis("tail", "dielectric", made["foil"]),
     ]
 
 
@@ -77,17 +85,17 @@ def test_a_level_stands_for_an_open_part() -> None:
         )
         without.append(one.beside({MODEL: one.terms["a"]}))
         declared.append(one.beside({MODEL: one.terms["a"] + 0.1 * part[: len(one.terms["a"])]}))
-    area = [np.full(len(one.measured_m2), 10.0) for one in without]
-    found = opened(MaterialHypothesis("front", "open", tuple(without)), area)
+    found = opened(hypothesis("front", "open", without), lambda one: np.full(len(one.measured_m2), 10.0))
     # the fitted background of a curve can hold a level that is the same everywhere, so the two share it
-    assert found.curves[0].level_m2.max() < 4.0 * 10.0**0.2
+    assert found.train[0].level_m2.max() < 4.0 * 10.0**0.2
+    assert [one.level_m2.max() for one in found.every()] == [found.train[0].level_m2.max()] * len(CASES)
     assert found.parameters == 1
 
 
 def test_eps_r_has_an_interval_over_what_was_tried() -> None:
     declared, (resin, foil) = hypotheses(1, "resin")
     some = [replace(resin, eps_r=3.0), replace(foil, part="tip", eps_r=2.0)]
-    some += [replace(resin, eps_r=4.0, curves=declared.curves)]
+    some += [replace(declared, part="tip", kind="dielectric", eps_r=4.0)]
     (found,) = ask_materials(declared, some)
     assert found.eps_r is not None
     assert found.eps_r.low <= 3.0 <= found.eps_r.high
@@ -109,9 +117,32 @@ def test_what_explains_less_than_the_engines_own_error_is_not_named() -> None:
         )  # fmt: skip
         declared.append(one.beside({MODEL: one.terms["a"]}))
         other.append(one.beside({MODEL: one.terms["a"] + one.terms["b"]}))
-    asked = MaterialHypothesis("tip", "dielectric", tuple(other))
-    (found,) = ask_materials(MaterialHypothesis("", "declared", tuple(declared)), [asked])
+    asked = hypothesis("tip", "dielectric", other)
+    (found,) = ask_materials(hypothesis("", "declared", declared), [asked])
     assert found.gain > found.price
     assert all(one.holds for one in found.left_out)
     assert found.outcome == "refused"
     assert "0.4 dB" in found.why
+
+
+@pytest.mark.parametrize(("shown", "told"), [("resin", ["tip"]), ("metal", [])])
+def test_what_is_costly_is_asked_of_what_stands_alone(shown: str, told: list[str]) -> None:
+    """Test curves of the likeliest hypothesis of each question, and intervals of the one that is named."""
+    declared, others = hypotheses(0, shown)
+    swept, asked = list[str](), list[str]()
+
+    def counted(one: MaterialHypothesis) -> MaterialHypothesis:
+        def every() -> tuple[ObservedCurve, ...]:
+            swept.append(one.part)
+            return one.every()
+
+        def intervals() -> dict[str, ProfileInterval]:
+            asked.append(one.part)
+            return {"thickness_m": ProfileInterval(2.0, 1.0, 3.0, False)}
+
+        return replace(one, every=every, intervals=intervals)
+
+    worse = replace(others[0], eps_r=9.0, train=others[1].train)
+    found = ask_materials(declared, [counted(one) for one in (replace(others[0], eps_r=3.0), worse, others[1])])
+    assert sorted(swept) == ["tail", "tip"]
+    assert asked == told == [one.part for one in found if one.values]

@@ -202,8 +202,8 @@ class CoherentBody:
 
     def extents(self, axes: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
         """Least and largest coordinate along each axis [m], shape (axes, 2)."""
-        along = self.hull @ np.stack(axes, axis=1)
-        return np.stack([along.min(axis=0), along.max(axis=0)], axis=1)
+        along = np.ascontiguousarray((self.hull @ np.stack(axes, axis=1)).T)  # in rows, where an end is found fast
+        return np.stack([along.min(axis=1), along.max(axis=1)], axis=1)
 
     def cuts(self, longest_m: float) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
         """Pieces of the wedges between conductors, (n,) each: of which wedge, the how many-th, of how many."""

@@ -4,7 +4,8 @@ Each hypothesis changes the material of one part. Its model is asked like a term
 pay for it beside the declared one, the test curves must gain by two standard errors, and neither polarization may lose
 by two standard errors. It must also be likelier than a constant level. A part may be `open`, too: nothing is known then
 of what comes back from it but a level, which its area in sight multiplies. Where an opening may take a share of a part,
-its hypotheses differ by the share, and the likeliest one is asked.
+its hypotheses differ by the share, and the likeliest one is asked. What is costly waits: test curves are swept for the
+likeliest hypothesis of a question alone, and values get intervals where it stands.
 
 The noise of each curve is its own (`noise.fit_each`), that of a test curve, too. Each hypothesis fits as many numbers
 of noise as the declared material does. So they gain nothing by them, and no frequency has to tell the noise of another.
@@ -12,7 +13,7 @@ of noise as the declared material does. So they gain nothing by them, and no fre
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -48,7 +49,9 @@ class MaterialHypothesis:
 
     part: str
     kind: Kind
-    curves: tuple[ObservedCurve, ...]
+    train: tuple[ObservedCurve, ...]
+    every: Callable[[], tuple[ObservedCurve, ...]]
+    """Train and test curves."""
     eps_r: float | None = None
     thickness_m: float | None = None
     """Of a sheet in air. Curves of a thin one tell the product (eps_r - 1) x thickness alone."""
@@ -56,8 +59,8 @@ class MaterialHypothesis:
     """Of an open part: the rest of it sends back what is declared."""
     parameters: int = 0
     """Fitted ones, which the train curves must pay for."""
-    values: Mapping[str, ProfileInterval] = field(default_factory=dict)
-    """Of a layer on metal: what the curves tell of it."""
+    intervals: Callable[[], Mapping[str, ProfileInterval]] = dict
+    """Of a layer on metal: what the train curves tell of it."""
 
     @property
     def product_m(self) -> float | None:
@@ -84,7 +87,7 @@ class MaterialTest:
     product_m: ProfileInterval | None = None
     """Of a sheet: (eps_r - 1) x thickness [m]. `eps_r` is then None."""
     values: Mapping[str, ProfileInterval] = field(default_factory=dict)
-    """Of a layer on metal, under their names; lengths and products with a length in metres."""
+    """Of a layer on metal that stands, under their names; lengths and products with a length in metres."""
 
     @property
     def words(self) -> str:
@@ -101,18 +104,26 @@ class MaterialTest:
         return f"{self.part}: {self.kind}{value}: {self.outcome}" + (f", {self.why}" if self.why else "")
 
 
-def opened(hypothesis: MaterialHypothesis, area_m2: Sequence[NDArray[np.float64]]) -> MaterialHypothesis:
-    """The hypothesis with the likeliest level of an open part; `area_m2` is what each direction sees of it."""
-    train = [(one, area) for one, area in zip(hypothesis.curves, area_m2, strict=True) if one.role == "train"]
+def opened(
+    hypothesis: MaterialHypothesis, area_m2: Callable[[ObservedCurve], NDArray[np.float64]]
+) -> MaterialHypothesis:
+    """The hypothesis with the likeliest level of an open part; `area_m2` is what a curve's directions see of it."""
 
-    def loss(level_db: float) -> float:
-        level = 10.0 ** (level_db / 10.0)
-        return -fit_each([replace(one, level_m2=level * area) for one, area in train], [MODEL])[1]
+    def seen(curves: Sequence[ObservedCurve]) -> list[ObservedCurve]:
+        return [replace(one, level_m2=area_m2(one)) for one in curves]
 
-    best = minimize_scalar(loss, bounds=_LEVELS_DB, method="bounded", options={"maxiter": 12})
-    level = 10.0 ** (float(best.x) / 10.0)
-    curves = tuple(replace(one, level_m2=level * area) for one, area in zip(hypothesis.curves, area_m2, strict=True))
-    return replace(hypothesis, curves=curves, parameters=1)
+    def leveled(curves: Sequence[ObservedCurve], level_db: float) -> tuple[ObservedCurve, ...]:
+        return tuple(replace(one, level_m2=10.0 ** (level_db / 10.0) * one.level_m2) for one in curves)
+
+    train = seen(hypothesis.train)
+    best = minimize_scalar(
+        lambda level_db: -fit_each(leveled(train, level_db), [MODEL])[1],
+        bounds=_LEVELS_DB,
+        method="bounded",
+        options={"maxiter": 12},
+    )
+    every = hypothesis.every
+    return replace(hypothesis, train=leveled(train, best.x), every=lambda: leveled(seen(every()), best.x), parameters=1)
 
 
 def likelier(first: MaterialHypothesis, second: MaterialHypothesis) -> MaterialHypothesis:
@@ -125,25 +136,26 @@ def ask_materials(declared: MaterialHypothesis, others: Sequence[MaterialHypothe
     groups: dict[tuple[str, str], list[MaterialHypothesis]] = {}
     for one in others:
         groups.setdefault((one.part, one.kind), []).append(one)
-    before = _rows(declared)
-    asked = [_ask(declared, before, group) for group in groups.values()]
-    asked.sort(key=lambda pair: -pair[0].whole)
-    return _with_ties(asked)
+    curves = declared.every()
+    before, likelihood = _rows(curves), of_train(declared)
+    asked = [_ask(curves, before, likelihood, group) for group in groups.values()]
+    asked.sort(key=lambda one: -one.test.whole)
+    found = _with_ties(asked, curves)
+    return [
+        test if test.outcome == "refused" else replace(test, values=dict(one.chosen.intervals()))
+        for test, one in zip(found, asked, strict=True)
+    ]
 
 
 def of_train(one: MaterialHypothesis) -> float:
     """2 ln L of the train curves."""
-    return _of_train(one, _rows(one))
+    return 2.0 * fit_each(one.train, [MODEL])[1]
 
 
-def _rows(one: MaterialHypothesis) -> list[NDArray[np.float64]]:
+def _rows(curves: Sequence[ObservedCurve]) -> list[NDArray[np.float64]]:
     """2 ln L of each row of each curve."""
-    noises, _ = fit_each(one.curves, [MODEL])
-    return [2.0 * densities(c, c.amplitude([MODEL]), noise) for c, noise in zip(one.curves, noises, strict=True)]
-
-
-def _of_train(one: MaterialHypothesis, rows: Sequence[NDArray[np.float64]]) -> float:
-    return float(sum(each.sum() for c, each in zip(one.curves, rows, strict=True) if c.role == "train"))
+    noises, _ = fit_each(curves, [MODEL])
+    return [2.0 * densities(c, c.amplitude([MODEL]), noise) for c, noise in zip(curves, noises, strict=True)]
 
 
 def _by_blocks(curves: Sequence[ObservedCurve], rows: Sequence[NDArray[np.float64]]) -> tuple[float, float]:
@@ -153,14 +165,26 @@ def _by_blocks(curves: Sequence[ObservedCurve], rows: Sequence[NDArray[np.float6
     return float(each.sum()), error
 
 
+@dataclass(frozen=True)
+class _Asked:
+    """An answer, the hypothesis that it is about, and the rows of 2 ln L over the declared material."""
+
+    test: MaterialTest
+    chosen: MaterialHypothesis
+    rows: list[NDArray[np.float64]]
+
+
 def _ask(
-    declared: MaterialHypothesis, before: Sequence[NDArray[np.float64]], group: Sequence[MaterialHypothesis]
-) -> tuple[MaterialTest, tuple[ObservedCurve, ...], list[NDArray[np.float64]]]:
-    """The answer, and the rows of 2 ln L over the declared material that it stands on."""
+    curves: Sequence[ObservedCurve],
+    before: Sequence[NDArray[np.float64]],
+    likelihood: float,
+    group: Sequence[MaterialHypothesis],
+) -> _Asked:
+    """`curves`, `before` and `likelihood` are those of the declared material: all curves, their rows of 2 ln L, and
+    that of the train curves."""
     group = sorted(group, key=lambda one: one.product_m or one.eps_r or 0.0)
-    train = [c for c in declared.curves if c.role == "train"]
-    after = [_rows(one) for one in group]
-    likelihoods = [_of_train(one, rows) for one, rows in zip(group, after, strict=True)]
+    train = [c for c in curves if c.role == "train"]
+    likelihoods = [of_train(one) for one in group]
     best = int(np.argmax(likelihoods))
     chosen = group[best]
     interval, product = None, None
@@ -174,17 +198,17 @@ def _ask(
         axis = np.array([float(one.eps_r or 1.0) for one in group])
         interval = profiles({"eps_r": axis}, np.array(likelihoods))["eps_r"]
     price = (1 + parameters) * float(np.log(max(independent(train), 2.0)))
-    gain = likelihoods[best] - _of_train(declared, before)
-    rows = [new - old for new, old in zip(after[best], before, strict=True)]
+    gain = likelihoods[best] - likelihood
+    rows = [new - old for new, old in zip(_rows(chosen.every()), before, strict=True)]
     left_out = []
     kinds = sorted({c.polarization for c in train})
-    tests = [i for i, c in enumerate(declared.curves) if c.role == "test" and c.polarization in kinds]
+    tests = [i for i, c in enumerate(curves) if c.role == "test" and c.polarization in kinds]
     if tests:
-        total, error = _by_blocks([declared.curves[i] for i in tests], [rows[i] for i in tests])
+        total, error = _by_blocks([curves[i] for i in tests], [rows[i] for i in tests])
         left_out.append(CurvesLeftOut(TEST, total, error))
     for kind in kinds if len(kinds) > 1 else []:
-        mine = [i for i, c in enumerate(declared.curves) if c.polarization == kind]
-        total, error = _by_blocks([declared.curves[i] for i in mine], [rows[i] for i in mine])
+        mine = [i for i, c in enumerate(curves) if c.polarization == kind]
+        total, error = _by_blocks([curves[i] for i in mine], [rows[i] for i in mine])
         left_out.append(CurvesLeftOut(kind, total, error))
     rivals = [constant([c]) for c in train]
     paid = sum(each.parameters for each in rivals) * float(np.log(independent(train)))
@@ -196,29 +220,26 @@ def _ask(
         why = f"curves left out do not confirm it: {', '.join(bad)}"
     elif over <= 0.0:
         why = "no likelier than a constant level"
-    whole, _ = _by_blocks(declared.curves, rows)
-    least = 2.0 * LEAST_DB / DB_TO_AMPLITUDE * independent(declared.curves)
+    whole, _ = _by_blocks(curves, rows)
+    least = 2.0 * LEAST_DB / DB_TO_AMPLITUDE * independent(curves)
     if not why and whole <= least:
         why = f"it takes less than {LEAST_DB:g} dB off the noise, which the engine's own error may hold"
     outcome: Outcome = "refused" if why else "named"
     head = chosen.part, chosen.kind, outcome, interval
-    found = MaterialTest(*head, gain, price, tuple(left_out), over, whole, why, product, dict(chosen.values))
-    return found, declared.curves, rows
+    return _Asked(MaterialTest(*head, gain, price, tuple(left_out), over, whole, why, product), chosen, rows)
 
 
-def _with_ties(
-    asked: Sequence[tuple[MaterialTest, tuple[ObservedCurve, ...], list[NDArray[np.float64]]]],
-) -> list[MaterialTest]:
+def _with_ties(asked: Sequence[_Asked], curves: Sequence[ObservedCurve]) -> list[MaterialTest]:
     """Those that stand are tied where the likeliest of them is not two standard errors before another."""
-    standing = [i for i, (one, _, _) in enumerate(asked) if one.outcome == "named"]
-    found = [one for one, _, _ in asked]
+    found = [one.test for one in asked]
+    standing = [i for i, one in enumerate(found) if one.outcome == "named"]
     if not standing:
         return found
     first = standing[0]
     tied = []
     for i in standing[1:]:
-        rows = [a - b for a, b in zip(asked[first][2], asked[i][2], strict=True)]
-        ahead, error = _by_blocks(asked[first][1], rows)
+        rows = [a - b for a, b in zip(asked[first].rows, asked[i].rows, strict=True)]
+        ahead, error = _by_blocks(curves, rows)
         if ahead <= max(ERRORS * error, ALIKE):
             tied.append(i)
         else:

@@ -33,11 +33,13 @@ def apertures(mesh: Mesh) -> NDArray[np.float64]:
     sides = mesh.vertices[hull.simplices]
     hull_area = 0.5 * np.linalg.norm(np.cross(sides[:, 1] - sides[:, 0], sides[:, 2] - sides[:, 0]), axis=1)
     planes = np.round(hull.equations / np.array([1.0, 1.0, 1.0, size]), 6)
+    planes, of = np.unique(planes, axis=0, return_inverse=True)
     found = []
-    for plane in np.unique(planes, axis=0):
-        near = np.abs(corners @ plane[:3] + plane[3] * size).max(axis=1) < NEAR * size
-        whole = hull_area[(planes == plane).all(axis=1)].sum()
-        if whole - area[near].sum() > OPEN_SHARE * max(whole, area.sum() / 100):
+    for plane, whole in zip(planes, np.bincount(of.ravel(), hull_area), strict=True):
+        near = np.abs(mesh.vertices @ plane[:3] + plane[3] * size) < NEAR * size
+        some = np.flatnonzero(near[mesh.faces[:, 0]])  # a smooth body has a plane for each face
+        there = area[some[near[mesh.faces[some]].all(axis=1)]].sum()
+        if whole - there > OPEN_SHARE * max(whole, area.sum() / 100):
             found.append(plane[:3])
     return np.array(found).reshape(-1, 3)
 

@@ -10,7 +10,8 @@ metal (docs/coherent-checks.md, "Edges of coated metal").
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
 
 import numpy as np
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.optimize import Bounds, minimize
 
 from warpsar.curves.materials import MODEL, Kind, MaterialHypothesis
-from warpsar.curves.noise import fit_each
+from warpsar.curves.noise import Noise, densities, fit_each
 from warpsar.curves.observed import ObservedCurve
 from warpsar.curves.shape import TWICE_LOG_LIMIT, ProfileInterval
 from warpsar.world.frame import SPEED_OF_LIGHT
@@ -37,6 +38,7 @@ AGAIN = 1
 """How often the likeliest layer becomes a probe."""
 STARTS = 2
 """Of the places of the grid: from so many of the likeliest a fit goes on."""
+_SLOPE = 1e-3  # step of a difference
 _COS = np.linspace(0.04, 1.0, 25)
 _STEPS = 25
 _WALK, _FIRST, _WIDER = 10, 0.02, 1.8  # steps of a profile to a side, the first of them, and how much each grows
@@ -75,6 +77,9 @@ FAMILIES = (
 """In a thin layer on metal the magnetic field alone is strong, so its curves tell mu_r x thickness, and the loss that
 goes with it. A dielectric one shows from a tenth of a wavelength inside it on, by the phase sqrt(eps_r) x thickness."""
 
+SWEEPS = 1 + len(PROBES) + len(FAMILIES) * (AGAIN + 1)
+"""Of a part: bare, of the probes, and of each family's likeliest layers."""
+
 
 def coated(layer: MaterialLayer) -> Material:
     return Material(conductor=True, layers=(layer,))
@@ -100,93 +105,114 @@ def reflections(layer: MaterialLayer | None, frequency_hz: float) -> NDArray[np.
 
 
 class Probed:
-    """Curves beside any layer on one part, from sweeps of some. `sweep` makes those of a part in one material."""
+    """Train curves beside any layer on one part, from sweeps of some. `sweep` makes those of a part in one material."""
 
-    def __init__(
-        self, sweep: Callable[[Material], tuple[ObservedCurve, ...]], shortest_m: float, progress: Callable[[], object]
-    ) -> None:
-        self._sweep, self._progress, self.shortest_m = sweep, progress, shortest_m
-        self._curves, self._layers = [sweep(Material(conductor=True))], list[MaterialLayer | None]([None])
+    def __init__(self, sweep: Callable[[Material], MaterialHypothesis], shortest_m: float) -> None:
+        self._sweep, self.shortest_m = sweep, shortest_m
+        self._curves, self._layers = [sweep(Material(conductor=True)).train], list[MaterialLayer | None]([None])
+        self._solving: dict[float, NDArray[np.complex128]] = {}
         for eps, mu, share in PROBES:
             pairs = [(complex(one).real, complex(one).imag) for one in (eps, mu)]
             self.add(MaterialLayer(eps_r=pairs[0], mu_r=pairs[1], thickness_m=share * shortest_m))
 
-    def add(self, layer: MaterialLayer) -> tuple[ObservedCurve, ...]:
+    def add(self, layer: MaterialLayer) -> MaterialHypothesis:
         """Sweep a layer, and take it for a probe."""
-        self._curves.append(self._sweep(coated(layer)))
+        made = self._sweep(coated(layer))
+        self._curves.append(made.train)
         self._layers.append(layer)
-        self._progress()
-        return self._curves[-1]
+        self._solving.clear()
+        return made
 
-    def beside(self, layer: MaterialLayer, role: str = "train") -> list[ObservedCurve]:
-        """The curves of a role beside a layer, as the probes foretell them."""
+    def beside(self, layer: MaterialLayer) -> list[ObservedCurve]:
+        """The train curves beside a layer, as the probes foretell them."""
         found = []
         for each in zip(*self._curves, strict=True):
-            if each[0].role == role:
-                first, *others = (one.terms[MODEL] for one in each)
-                apart = np.stack([one - first for one in others], axis=1)
-                found.append(each[0].beside({MODEL: first + apart @ self.weights(layer, each[0].frequency_hz)}))
+            first, *others = (one.terms[MODEL] for one in each)
+            apart = np.stack([one - first for one in others], axis=1)
+            found.append(each[0].beside({MODEL: first + apart @ self._weights(layer, each[0].frequency_hz)}))
         return found
 
-    def weights(self, layer: MaterialLayer, frequency_hz: float) -> NDArray[np.complex128]:
+    def _weights(self, layer: MaterialLayer, frequency_hz: float) -> NDArray[np.complex128]:
         """Of the probes but the first, whose weight is what is left of one."""
-        bare, *probes = (reflections(one, frequency_hz).ravel() for one in self._layers)
-        apart = np.stack([one - bare for one in probes], axis=1)
-        return np.asarray(np.linalg.lstsq(apart, reflections(layer, frequency_hz).ravel() - bare, rcond=1e-4)[0])
+        bare = reflections(None, frequency_hz).ravel()
+        if frequency_hz not in self._solving:
+            apart = np.stack([reflections(one, frequency_hz).ravel() - bare for one in self._layers[1:]], axis=1)
+            self._solving[frequency_hz] = np.linalg.pinv(apart, rcond=1e-4)
+        return self._solving[frequency_hz] @ (reflections(layer, frequency_hz).ravel() - bare)
 
 
-def layered(part: str, probed: Probed, family: Family, declared: float) -> MaterialHypothesis:
-    """The likeliest layer of a family. Where it gains over `declared`, 2 ln L of the train curves, its values have
-    intervals: 2 ln L, with the other values fitted along, falls by 3.84 at their ends."""
+@dataclass(frozen=True)
+class _Loss:
+    """-2 ln L of the train curves over the logarithms u, which a rising wall keeps between `ends`."""
+
+    probed: Probed
+    family: Family
+    ends: NDArray[np.float64]
+
+    def layer(self, u: NDArray[np.float64]) -> MaterialLayer:
+        return self.family.layer(np.clip(u, *self.ends.T), self.probed.shortest_m)
+
+    def value(self, u: NDArray[np.float64]) -> float:
+        return self._with_noise(u)[0]
+
+    def with_slope(self, u: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+        """The noise is at its likeliest, so by the envelope theorem it adds nothing to a slope, and is held."""
+        here, noises = self._with_noise(u)
+        ahead = [self._with_noise(u + step, noises)[0] for step in _SLOPE * np.eye(len(u))]
+        return here, (np.array(ahead) - here) / _SLOPE
+
+    def _with_noise(self, u: NDArray[np.float64], noises: list[Noise] | None = None) -> tuple[float, list[Noise]]:
+        curves = self.probed.beside(self.layer(u))
+        held = fit_each(curves, [MODEL])[0] if noises is None else noises
+        likelihood = sum(
+            float(densities(one, one.amplitude([MODEL]), noise).sum()) for one, noise in zip(curves, held, strict=True)
+        )
+        out = float(((u - np.clip(u, *self.ends.T)) ** 2).sum())
+        return 1e3 * out - 2.0 * likelihood, held
+
+
+def layered(probed: Probed, family: Family) -> MaterialHypothesis:
+    """The likeliest layer of a family. 2 ln L of the train curves falls by 3.84 at the ends of its intervals."""
     ends = np.log(np.array(family.ends))
-
-    def loss(u: NDArray[np.float64]) -> float:
-        inside = np.clip(u, *ends.T)
-        out = float(((u - inside) ** 2).sum())
-        return 1e3 * out - 2.0 * fit_each(probed.beside(family.layer(inside, probed.shortest_m)), [MODEL])[1]
-
+    loss = _Loss(probed, family, ends)
     grid = [
         np.array(u)
         for u in product(*(np.linspace(low, high, n) for (low, high), n in zip(ends, (7, 3, 3), strict=True)))
     ]
-    starts = sorted(grid, key=loss)[:STARTS]
-    best = min((_least(loss, u, ends) for u in starts), key=loss)
+    starts = sorted(grid, key=loss.value)[:STARTS]
+    best = min((_least(loss.with_slope, u, ends) for u in starts), key=loss.value)
     for _ in range(AGAIN):
-        probed.add(family.layer(best, probed.shortest_m))
-        best = _least(loss, best, ends)
-    curves = probed.add(family.layer(best, probed.shortest_m))
-    values = {}
-    if -loss(best) > declared:
-        for name, powers in family.products.items():
-            unit = probed.shortest_m ** powers[0]
-            values[name] = _profile(loss, best, np.array(powers, float), ends, unit)
-    return MaterialHypothesis(part, family.kind, curves, parameters=ends.shape[0], values=values)
+        probed.add(loss.layer(best))
+        best = _least(loss.with_slope, best, ends)
+    found = probed.add(loss.layer(best))
+    return replace(found, kind=family.kind, parameters=len(ends), intervals=partial(_intervals, loss, best))
+
+
+def _intervals(loss: _Loss, best: NDArray[np.float64]) -> dict[str, ProfileInterval]:
+    return {
+        name: _profile(loss, best, np.array(powers, float), loss.probed.shortest_m ** powers[0])
+        for name, powers in loss.family.products.items()
+    }
 
 
 def _least(
-    loss: Callable[[NDArray[np.float64]], float], u: NDArray[np.float64], ends: NDArray[np.float64]
+    loss: Callable[[NDArray[np.float64]], tuple[float, NDArray[np.float64]]],
+    u: NDArray[np.float64],
+    ends: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    found = minimize(
-        loss,
-        np.clip(u, *ends.T),
-        method="L-BFGS-B",
-        bounds=Bounds(*ends.T),
-        options={"eps": 1e-3, "ftol": 1e-5, "maxiter": _STEPS},
-    )
+    options = {"ftol": 1e-5, "maxiter": _STEPS}
+    bounds = Bounds(*ends.T)
+    found = minimize(loss, np.clip(u, *ends.T), jac=True, method="L-BFGS-B", bounds=bounds, options=options)
     return np.asarray(found.x)
 
 
-def _profile(
-    loss: Callable[[NDArray[np.float64]], float],
-    best: NDArray[np.float64],
-    powers: NDArray[np.float64],
-    ends: NDArray[np.float64],
-    unit: float,
-) -> ProfileInterval:
+def _profile(loss: _Loss, best: NDArray[np.float64], powers: NDArray[np.float64], unit: float) -> ProfileInterval:
     """The interval of a product: its logarithm walks to both sides, and the other coordinates are fitted along."""
-    pivot = int(np.argmax(np.abs(powers)))
+    pivot, ends = int(np.argmax(np.abs(powers))), loss.ends
     others = np.delete(np.arange(len(best)), pivot)
-    top, centre = loss(best), float(powers @ best)
+    along = np.eye(len(best))[others]  # slopes of all coordinates by the free ones
+    along[:, pivot] = -powers[others] / powers[pivot]
+    top, centre = loss.value(best), float(powers @ best)
     reach = np.sort((powers[:, None] * ends), axis=1).sum(axis=0)
     found, is_open = [], False
     for sign in (-1.0, 1.0):
@@ -194,15 +220,16 @@ def _profile(
         for _ in range(_WALK):
             t = float(np.clip(inner + sign * step, *reach))
 
-            def whole(free: NDArray[np.float64], t: float = t) -> NDArray[np.float64]:
-                made = np.empty(len(best))
-                made[others] = free
-                made[pivot] = (t - powers[others] @ free) / powers[pivot]
-                return made
+            held = np.eye(len(best))[pivot] * t / powers[pivot]
 
-            free = _least(lambda f, at=whole: loss(at(f)), u[others], ends[others])  # type: ignore[misc]
-            u = whole(free)
-            now = float(np.sqrt(max(loss(u) - top, 0.0)))
+            def loss_of_free(
+                free: NDArray[np.float64], held: NDArray[np.float64] = held
+            ) -> tuple[float, NDArray[np.float64]]:
+                value, slope = loss.with_slope(held + free @ along)
+                return value, along @ slope
+
+            u = held + _least(loss_of_free, u[others], ends[others]) @ along
+            now = float(np.sqrt(max(loss.value(u) - top, 0.0)))
             if now**2 > TWICE_LOG_LIMIT:
                 inner += (np.sqrt(TWICE_LOG_LIMIT) - fall) / (now - fall) * (t - inner)
                 break

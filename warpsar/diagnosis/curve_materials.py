@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,14 +21,13 @@ from warpsar.curves.materials import (
     MaterialTest,
     ask_materials,
     likelier,
-    of_train,
     opened,
 )
 from warpsar.curves.observe import observe
 from warpsar.curves.observed import ObservedCurve
 from warpsar.curves.search import CANDIDATES, DECLARED
 from warpsar.curves.sectors import SEEN
-from warpsar.diagnosis.curve_layers import AGAIN, FAMILIES, PROBES, Probed, coated, layer_of, layered
+from warpsar.diagnosis.curve_layers import FAMILIES, SWEEPS, Probed, coated, layer_of, layered
 from warpsar.runtime import console
 from warpsar.scene.scene import Scene
 from warpsar.world.frame import SPEED_OF_LIGHT
@@ -66,43 +66,59 @@ def ask(
     if parts is None:
         parts = [name for name in scene.materials if len(scene.materials) == 1 or _seen(scene, name, device)]
     closed = bool((joints(scene.mesh.vertices, scene.mesh.faces).other >= 0).all())
-    declared = MaterialHypothesis("", "declared", _curves(scene, cache, device))
-    as_it_stands = MaterialHypothesis("", "declared", _curves(scene, cache, device, scene.radar.terms))
-    shortest = _shortest_m(declared.curves)
+    at = partial(beside, cache, device)
+    declared = at("", "declared", scene)
+    as_it_stands = at("", "declared", scene, scene.radar.terms)
+    shortest = _shortest_m(declared.train)
     wanted = [(name, one) for name in parts for one in _alternatives(scene, name, closed, shortest)]
-    cuts = list(_with_lids(scene, declared.curves)) if whole and closed else []  # nobody said where an opening may be
+    cuts = list(_with_lids(scene, declared.every())) if whole and closed else []  # nobody said where an opening may be
     metal = [name for name in parts if scene.materials[name].conductor]
-    each = len(PROBES) + len(FAMILIES) * (AGAIN + 1)
-    bar = console.progress(len(wanted) + len(cuts) + each * len(metal), "materials", "material")
+    bar = console.progress(len(wanted) + len(cuts) + SWEEPS * len(metal), "materials", "material")
     others = []
-    likeliest = likelier(declared, as_it_stands)  # no material is to win by terms that are not there
     for name in metal:
 
-        def swept(material: Material, name: str = name) -> tuple[ObservedCurve, ...]:
-            return _curves(replace(scene, materials={**scene.materials, name: material}), cache, device)
+        def swept(material: Material, name: str = name) -> MaterialHypothesis:
+            bar.update()
+            return at(name, "metal", replace(scene, materials={**scene.materials, name: material}))
 
-        probed = Probed(swept, shortest, bar.update)
-        others += [layered(name, probed, family, of_train(likeliest)) for family in FAMILIES]
+        probed = Probed(swept, shortest)
+        others += [layered(probed, family) for family in FAMILIES]
     for name, tried in wanted:
-        curves = _curves(_changed(scene, name, tried), cache, device)
-        one = MaterialHypothesis(name, tried.kind, curves, tried.eps_r, tried.thickness_m)
-        if tried.kind == "open":
-            one = opened(one, [_area(scene, name, curve) for curve in one.curves])
-        others.append(one)
+        one = at(name, tried.kind, _changed(scene, name, tried))
+        one = replace(one, eps_r=tried.eps_r, thickness_m=tried.thickness_m)
+        others.append(opened(one, partial(_area, scene, name)) if tried.kind == "open" else one)
         bar.update()
     for cut, name in cuts:
-        area = [_area(cut, name, curve) for curve in declared.curves]
-        gone = _curves(_changed(cut, name, TriedMaterial("open")), cache, device)
-        for share in SHARES:
-            rest = tuple(_between(*pair, share) for pair in zip(declared.curves, gone, strict=True))
-            others.append(opened(MaterialHypothesis(name, "open", rest, share=share), area))
+        gone = at(name, "open", _changed(cut, name, TriedMaterial("open")))
+        others += [opened(_opened_in_part(declared, gone, share), partial(_area, cut, name)) for share in SHARES]
         bar.update()
     bar.close()
-    return ask_materials(likeliest, others)
+    return ask_materials(likelier(declared, as_it_stands), others)  # nothing is to win by terms that are not there
 
 
-def _between(declared: ObservedCurve, gone: ObservedCurve, share: float) -> ObservedCurve:
-    return declared.beside({MODEL: (1.0 - share) * declared.terms[MODEL] + share * gone.terms[MODEL]})
+def beside(
+    cache: Path, device: str | None, part: str, kind: Kind, scene: Scene, terms: Sequence[str] | None = None
+) -> MaterialHypothesis:
+    """The curves of a scene beside the sum of all terms, or of some; test curves are swept when they are asked for."""
+    whole = _whole(scene)
+
+    def curves(scene: Scene) -> tuple[ObservedCurve, ...]:
+        seen = observe(scene, cache=cache, device=device, per_direction=PER_DIRECTION)
+        return tuple(one.beside({MODEL: one.amplitude(terms or whole.radar.terms)}) for one in seen)
+
+    train = replace(whole, curves=tuple(one for one in whole.curves if one.role == "train"))
+    return MaterialHypothesis(part, kind, curves(train), partial(curves, whole))
+
+
+def _opened_in_part(declared: MaterialHypothesis, gone: MaterialHypothesis, share: float) -> MaterialHypothesis:
+    def mixed(first: Sequence[ObservedCurve], second: Sequence[ObservedCurve]) -> tuple[ObservedCurve, ...]:
+        return tuple(
+            one.beside({MODEL: (1.0 - share) * one.terms[MODEL] + share * other.terms[MODEL]})
+            for one, other in zip(first, second, strict=True)
+        )
+
+    train = mixed(declared.train, gone.train)
+    return replace(gone, train=train, every=lambda: mixed(declared.every(), gone.every()), share=share)
 
 
 def _with_lids(scene: Scene, curves: Sequence[ObservedCurve]) -> Iterator[tuple[Scene, str]]:
@@ -196,15 +212,6 @@ def _whole(scene: Scene) -> Scene:
     solid = any(m.solid and m.eps_r != _ABSORBER for m in scene.materials.values())
     terms = (*TERMS, "transmission") if solid else TERMS
     return replace(scene, radar=scene.radar.model_copy(update={"terms": terms}))
-
-
-def _curves(
-    scene: Scene, cache: Path, device: str | None, terms: Sequence[str] | None = None
-) -> tuple[ObservedCurve, ...]:
-    """The curves beside the sum of all terms, or of some."""
-    whole = _whole(scene)
-    seen = observe(whole, cache=cache, device=device, per_direction=PER_DIRECTION)
-    return tuple(one.beside({MODEL: one.amplitude(terms or whole.radar.terms)}) for one in seen)
 
 
 def _seen(scene: Scene, name: str, device: str | None) -> bool:
