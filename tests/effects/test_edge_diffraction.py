@@ -52,3 +52,13 @@ def test_level_ground_has_no_edges() -> None:
     mesh = mesh_of(soil=ground(20.0, cells=4))
     render = render_of(scene_of(mesh, view(0.0, 40.0), shape=(8, 8), rays_per_pixel=4.0))
     assert len(sharp_edges(render.stage.target).start) == 0
+
+
+def test_a_face_without_width_is_no_side_of_an_edge() -> None:
+    """A mesh may have them where it was cut: here along an edge of a box, and across its roof."""
+    lines = [[(-3, -2, 4), (3, -2, 4), (1, -2, 4)], [(-3, -2, 4), (3, 2, 4), (0.3, 0.2, 4)]]
+    cut = worlds.join([box((-3, -2, 0), (3, 2, 4)), *((np.array(one, float), np.array([[0, 1, 2]])) for one in lines)])
+    mesh = mesh_of(wall=cut)
+    scene = scene_of(mesh, view(20.0, 40.0), shape=(8, 8), rays_per_pixel=4.0)
+    with np.errstate(all="raise"):
+        assert len(sharp_edges(render_of(scene).stage.target).start) == 12

@@ -22,6 +22,7 @@ from warpsar.trace.rays import ray_grid
 from warpsar.trace.target import Target
 
 _SHARP_DEG = 30.0  # faces that turn by less are a curved surface in facets
+_ONE_PLACE_M = 1e-6
 _PIECES_PER_BIN = 2
 
 
@@ -96,13 +97,19 @@ class EdgeDiffraction(Effect):
 
 
 def sharp_edges(target: Target) -> SharpEdges:
-    """Edges at which exactly two faces meet under an angle. Vertices at one place count as one."""
-    _, index = np.unique(np.round(target.corners, 6), axis=0, return_inverse=True)
+    """Edges at which exactly two faces meet under an angle. Vertices at one place count as one.
+
+    A face that is no wider than `_ONE_PLACE_M` is a line: it lies on no side of its edges.
+    """
+    _, index = np.unique(np.round(target.corners / _ONE_PLACE_M), axis=0, return_inverse=True)
     faces = index.reshape(-1)[target.faces.numpy()]
-    sides = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    opposite = np.concatenate([faces[:, 2], faces[:, 0], faces[:, 1]])
     place = np.zeros((index.max() + 1, 3))
     place[index.reshape(-1)] = target.corners
+    a, b, c = (place[faces[:, i]] for i in range(3))
+    longest = np.max([np.linalg.norm(side, axis=1) for side in (b - a, c - b, a - c)], axis=0)
+    faces = faces[np.linalg.norm(np.cross(b - a, c - a), axis=1) > _ONE_PLACE_M * longest]
+    sides = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    opposite = np.concatenate([faces[:, 2], faces[:, 0], faces[:, 1]])
     key, which, count = np.unique(np.sort(sides, axis=1), axis=0, return_inverse=True, return_counts=True)
     order = np.argsort(which.reshape(-1), kind="stable")
     first = np.cumsum(count) - count
