@@ -146,6 +146,7 @@ def test_a_layer_cut_in_two_is_the_same() -> None:
 
 
 NAMES = [f"layers.{i}.{key}" for i in (0, 1, 2) for key in ("eps_r", "mu_r", "thickness_m")]
+LOSSES = ["layers.0.mu_r_loss", "layers.1.eps_r_loss", "layers.2.eps_r_loss", "layers.2.mu_r_loss"]
 
 
 def test_derivatives_of_a_stack_are_those_of_its_closed_form() -> None:
@@ -159,7 +160,7 @@ def test_derivatives_of_a_stack_are_those_of_its_closed_form() -> None:
     mesh = plate(0.3, 0.2)
     made = scene(mesh, material={"conductor": True, "layers": layers}, terms=("single",))
     bare = warpsar.rcs(scene(mesh, terms=("single",)), 90.0 - angle, 90.0, FREQUENCY, device="cpu").amplitude_m
-    names = [f"materials.default.{name}" for name in NAMES]
+    names = [f"materials.default.{name}" for name in NAMES + LOSSES]
     found = warpsar.rcs_gradients(made, 90.0 - angle, 90.0, FREQUENCY, parameters=names, device="cpu").jacobian()
     polarizations = made.radar.polarizations
     for name in NAMES:
@@ -181,6 +182,22 @@ def test_derivatives_of_a_stack_are_those_of_its_closed_form() -> None:
                 at = polarizations.index(p)
                 slope = slopes[at, part] if isinstance(stated, tuple) else slopes[at]
                 assert slope == pytest.approx(-expected[which] * bare[0, 0, 0, at], rel=1e-5, abs=1e-9), (name, part, p)
+    for name in LOSSES:  # the second number of a pair is the loss, negative
+        pair = found[f"materials.default.{name.removesuffix('_loss')}"]
+        assert (found[f"materials.default.{name}"] == -pair[..., 1]).all()
+    lossless = ["materials.default.layers.0.eps_r_loss"]
+    with pytest.raises(InputError, match="found no such parameter"):
+        warpsar.rcs_gradients(made, 90.0, 90.0, FREQUENCY, parameters=lossless, device="cpu")
+
+
+def test_a_loss_moves_alone() -> None:
+    made = scene(
+        plate(0.3, 0.2), material={"conductor": True, "layers": [{"eps_r": (4.0, -0.5), "thickness_m": 0.002}]}
+    )
+    lossier = made.with_values({"materials.default.layers.0.eps_r_loss": 0.8})
+    assert lossier.materials["default"].layers[0].eps_r == (4.0, -0.8)
+    denser = lossier.with_values({"materials.default.layers.0.eps_r": 5.0})
+    assert denser.materials["default"].layers[0].eps_r == (5.0, -0.8)
 
 
 def test_a_sandwich_moves_with_its_mirror_image() -> None:

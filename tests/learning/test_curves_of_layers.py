@@ -13,8 +13,12 @@ from stack_reference import Stack, reflection
 import warpsar
 from warpsar import Scene
 from warpsar.cli.main import main
+from warpsar.curves.noise import densities, fit
+from warpsar.curves.observe import observe
 from warpsar.errors import InputError
 from warpsar.learning.coordinates import SceneCoordinates
+from warpsar.learning.curve_likelihood import CurveLikelihood
+from warpsar.world.tables import LAYER_KEYS
 
 PHI = np.arange(0.0, 60.0, 0.5)
 PLATE = "usemtl sheet\nv 0 -.08 -.05\nv 0 .08 -.05\nv 0 .08 .05\nv 0 -.08 .05\nf 1 2 3\nf 1 3 4\n"
@@ -99,6 +103,55 @@ def test_an_absorber_on_metal_tells_its_values(tmp_path: Path) -> None:
         assert found[f"sheet.layers.0.{key}"]["value"] == pytest.approx(truth, rel=0.1)
 
 
+@pytest.mark.slow
+def test_an_absorber_on_metal_tells_its_losses(tmp_path: Path) -> None:
+    """A thin one tells the loss of mu_r x thickness, where both of its factors are learned."""
+    tables = curves_of(tmp_path, [(8.0, 2.0 - 1.5j, 6e-4)], True, [6e9, 10e9, 14e9], 1e-2)
+    stack = "conductor = true\nlayers = [{eps_r = 8.0, mu_r = [2.0, -1.2], thickness_m = 7e-4}]"
+    found = learned(tmp_path, tables, stack, '["layers.0.mu_r", "layers.0.mu_r_loss", "layers.0.thickness_m"]')
+    truths = {"mu_r": 2.0, "mu_r_loss": 1.5, "thickness_m": 6e-4}
+    truths |= {f"{key} x thickness_m": truths[key] * 6e-4 for key in ("mu_r", "mu_r_loss")}
+    assert found.keys() == {f"sheet.layers.0.{key}" for key in truths}
+    assert all(holds(found[f"sheet.layers.0.{key}"], truth) for key, truth in truths.items()), found
+    wide = {key: np.divide(*found[f"sheet.layers.0.{key}"]["interval_95"][::-1]) for key in truths}
+    assert wide["mu_r_loss x thickness_m"] < min(wide["mu_r_loss"], wide["thickness_m"], 1.1), wide
+
+
+def test_slopes_of_every_value_of_a_layer_are_those_of_its_closed_form(tmp_path: Path) -> None:
+    """-ln L with the noise held, over the amplitude of bare metal times the coefficient of the stack."""
+    truth = [6.0, 1.0, 1.6, 0.9, 2e-3]
+    tables = curves_of(tmp_path, [(6.5 - 1.2j, 1.5 - 0.8j, 2.1e-3)], True, [6e9, 10e9], 1e-2)
+    keys = [f"layers.0.{key}" for key in LAYER_KEYS]
+    stack = "conductor = true\nlayers = [{eps_r = [6.0, -1.0], mu_r = [1.6, -0.9], thickness_m = 2e-3}]"
+    scene = _scene(tmp_path, tables, stack, f"learn = {json.dumps(keys)}")
+    wanted = [one for one in scene.parameters.values() if one.freed]
+    assert [one.key for one in wanted] == keys
+    likelihood = CurveLikelihood(scene, wanted, device="cpu")
+    x = np.array([float(one.transform.to_coordinate(one.value)) for one in wanted])
+    bare = [
+        one.amplitude(["single"]) for one in observe(_scene(tmp_path, tables, "conductor = true", ""), device="cpu")
+    ]
+    curves = observe(scene, device="cpu")
+    noises = fit(curves, ["single"]).noise
+
+    def loss(x: np.ndarray) -> float:
+        real, loss, mu, mu_loss, thickness = (
+            float(one.transform.from_coordinate(u)) for one, u in zip(wanted, x, strict=True)
+        )
+        total = 0.0
+        for one, metal in zip(curves, bare, strict=True):
+            layer = complex(real, -loss), complex(mu, -mu_loss), thickness
+            sin = np.sin(np.deg2rad(one.azimuth_deg - 90.0))
+            field = -metal * reflection([layer], True, one.frequency_hz, one.polarization == "VV", np.abs(sin))
+            total -= densities(one, field, noises[one.polarization]).sum()
+        return float(total)
+
+    assert [one.transform.from_coordinate(u) for one, u in zip(wanted, x, strict=True)] == pytest.approx(truth)
+    expected = [(loss(x + step) - loss(x - step)) / 2e-5 for step in 1e-5 * np.eye(len(x))]
+    gradient, _ = likelihood.slopes(x)
+    assert gradient == pytest.approx(expected, rel=1e-2)
+
+
 @pytest.mark.full
 def test_a_value_that_the_curves_do_not_show_has_no_narrow_interval(tmp_path: Path) -> None:
     """Behind a film that nothing passes, 46 nepers thick, mu_r may be anything."""
@@ -116,6 +169,9 @@ def test_layers_are_refused_where_nothing_tells_them(tmp_path: Path) -> None:
     slab = "eps_r = 2.0\nthickness_m = 8e-4"
     with pytest.raises(InputError, match=r"learn: found layers.0.mu_r, which the material does not state; allowed are"):
         _scene(tmp_path, [], slab, 'learn = ["layers.0.mu_r"]')
+    lossless = "conductor = true\nlayers = [{eps_r = 3.0, thickness_m = 1e-3}]"
+    with pytest.raises(InputError, match=r"learn: found layers.0.eps_r_loss, which the material does not state; allow"):
+        _scene(tmp_path, [], lossless, 'learn = ["layers.0.eps_r_loss"]')
     with pytest.raises(InputError, match="learn: found thickness_m, which the material does not state; it has no"):
         _scene(tmp_path, [], "eps_r = 2.0", 'learn = ["thickness_m"]')
     scene = _scene(tmp_path, [], slab, 'learn = ["thickness_m"]')

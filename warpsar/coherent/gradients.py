@@ -136,7 +136,8 @@ def rcs_gradients(
 
     - `materials.NAME.eps_r`: as in the scene, () or (2,)
     - `materials.NAME.thickness_m`, `materials.NAME.rms_height_m`: () [m]
-    - `materials.NAME.layers.0.eps_r`, `.mu_r`: as in the scene, () or (2,), and `.thickness_m`: () [m], of each layer
+    - `materials.NAME.layers.0.eps_r`, `.mu_r`: as in the scene, () or (2,), and `.thickness_m`: () [m], of each layer;
+      `.eps_r_loss`, `.mu_r_loss`: (), the losses eps'' and mu'' that it states
     - `materials.NAME.correlation_length_m`: as in the scene, () or (2,) [m]
     - `mesh.vertices`: (n, 3) [m]
     - `pose.position_m`, `objects.NAME.position_m`: (3,) [m]

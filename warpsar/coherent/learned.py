@@ -19,7 +19,7 @@ from warpsar.parameters.tree import POSE as POSE_WORDS
 from warpsar.parameters.tree import Parameters
 from warpsar.world.objects.pose import rotation
 from warpsar.world.objects.table import KEYS
-from warpsar.world.tables import Material, layer_of
+from warpsar.world.tables import LOSS, Material, layer_of
 from warpsar.world.world import World
 
 WHOLE = "pose"
@@ -140,16 +140,17 @@ def _material(scene: World, name: str, key: str) -> RcsParameter:
 
 def _layer(scene: World, name: str, material: Material, key: str) -> RcsParameter:
     """A value of one of `layers`, `layers.0.mu_r`. In air its mirror image moves with it."""
-    number, of = layer_of(key)
-    index = scene.mesh.materials.index(name)
-    pair = isinstance(getattr(material.layers[number], of), tuple)
+    number, called = layer_of(key)
+    index, of = scene.mesh.materials.index(name), called.removesuffix(LOSS)
+    is_loss = called != of
+    pair = isinstance(getattr(material.layers[number], of), tuple) and not is_loss
 
     def gradient(slopes: TubeSlopes) -> NDArray[np.float64]:
         stuff = slopes.stuff[index]
         outer = np.concatenate([stuff["permittivity"], stuff["permeability"], [stuff["thickness"]]])
         whole = np.sum([outer if each == 0 else stuff["under"][each - 1] for each in material.alike(number)], axis=0)
         both = whole[{"eps_r": slice(0, 2), "mu_r": slice(2, 4), "thickness_m": slice(4, 5)}[of]]
-        return np.array(both if pair else both[0])
+        return np.array(both if pair else -both[1] if is_loss else both[0])
 
     return RcsParameter((2,) if pair else (), gradient)
 

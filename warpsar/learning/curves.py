@@ -169,7 +169,8 @@ def _of_curves(scene: Scene, one: Parameter) -> bool:
 
 def _products(scene: Scene, wanted: Sequence[Parameter]) -> dict[str, tuple[int, int]]:
     """Products that curves of thin layers tell, with the places of their factors: in air the phase that a layer adds
-    goes with (eps_r - 1) x thickness, and on a conductor with mu_r x thickness, where the electric field is 0."""
+    goes with (eps_r - 1) x thickness, and on a conductor with mu_r x thickness, where the electric field is 0. What is
+    lost goes there with the loss of mu_r x thickness."""
     place = {(one.owner, one.key): at for at, one in enumerate(wanted)}
     found = {}
     for (owner, key), at in place.items():
@@ -177,7 +178,7 @@ def _products(scene: Scene, wanted: Sequence[Parameter]) -> dict[str, tuple[int,
         beside = place.get((owner, f"{layer}.thickness_m" if layer else "thickness_m"))
         if beside is None:
             continue
-        if of == "mu_r" and scene.materials[owner].conductor:
+        if of in ("mu_r", "mu_r_loss") and scene.materials[owner].conductor:
             found[f"{owner}.{key} x thickness_m"] = at, beside
         elif of == "eps_r" and not scene.materials[owner].conductor and wanted[at].transform.kind == "contrast":
             found[f"{owner}.({key} - 1) x thickness_m"] = at, beside

@@ -106,8 +106,7 @@ def _layered(material: Any, key: str, new: float) -> Any:
     """With another value of one of `layers`; in air its mirror image gets it, too."""
     number, of = layer_of(key)
     layers = list(material.layers)
-    stated = getattr(layers[number], of)
-    changed = layers[number].model_copy(update={of: (new, stated[1]) if isinstance(stated, tuple) else new})
+    changed = layers[number].with_number(of, new)
     for each in material.alike(number):
         layers[each] = changed
     return material.model_copy(update={"layers": tuple(layers)})

@@ -21,7 +21,7 @@ from warpsar.world.objects.table import CABIN, KEYS, VEHICLES, Object
 from warpsar.world.objects.table import LIMITS as OBJECT_LIMITS
 from warpsar.world.pixels import Pixels
 from warpsar.world.sigma0_table import LARGEST_DB
-from warpsar.world.tables import LARGEST_OF_LAYER, Grid, Material, Radar, View
+from warpsar.world.tables import LARGEST_OF_LAYER, LOSS, Grid, Material, Radar, View, layer_of
 from warpsar.world.tolerance import known_sd, known_value
 from warpsar.world.transform import Transform
 from warpsar.world.world import World
@@ -37,8 +37,8 @@ TURN = (-360.0, 360.0)
 STEEPEST = (1.0, 89.0)
 """Least and largest incidence of a fit [deg]."""
 POSE = ("position", "heading", "pitch", "roll")
-THICKNESS, FILLING = (1e-7, 100.0), (0.01, LARGEST_OF_LAYER)
-"""Ends of a fit of a layer: its thickness [m], and a permittivity or permeability."""
+THICKNESS, FILLING, LOSSES = (1e-7, 100.0), (0.01, LARGEST_OF_LAYER), (1e-4, LARGEST_OF_LAYER)
+"""Ends of a fit of a layer: its thickness [m], a permittivity or permeability, and the loss of one."""
 CONTRAST = (EPS_R.low, EPS_R.high)
 """Ends of a fit of a permittivity over 1: those of a surface."""
 
@@ -117,11 +117,9 @@ def _of_materials(world: World) -> Iterator[Parameter]:
         if material.thickness_m is not None:
             read = partial(getattr, material, "thickness_m")
             yield _of_a_stack(name, material, "thickness_m", read)
-        for number, layer in enumerate(material.layers):
-            for key in ("eps_r", "mu_r", "thickness_m"):
-                stated = getattr(layer, key)
-                read = partial(float, stated[0] if isinstance(stated, tuple) else stated)
-                yield _of_a_stack(name, material, f"layers.{number}.{key}", read)
+        for called in material.stacked if material.layers else ():
+            number, key = layer_of(called)
+            yield _of_a_stack(name, material, called, partial(material.layers[number].number, key))
         if material.sigma0 is not None:
             for polarization, column in sigma0_table.read(material.sigma0).sigma0_db.items():
                 yield Parameter(
@@ -137,6 +135,7 @@ def _of_a_stack(name: str, material: Material, key: str, read: Callable[[], floa
     """A value of the layers of a material. A permittivity over 1 has the coordinate of a surface's."""
     thick = key.endswith("thickness_m")
     unit, high, bounds = ("m", 100.0, THICKNESS) if thick else ("1", LARGEST_OF_LAYER, FILLING)
+    bounds = LOSSES if key.endswith(LOSS) else bounds
     contrast = key.endswith("eps_r") and read() >= CONTRAST[0]
     return Parameter(
         *("materials", name, key, unit, 0.0, high, read),

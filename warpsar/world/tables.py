@@ -33,10 +33,10 @@ DEFAULT_RAYS_PER_PIXEL = 64.0
 LARGEST_OF_LAYER = 1e6
 """Of a layer's permittivity or permeability: a film of carbon has some thousands."""
 MOST_LAYERS = 8
-OF_STACKS = (
-    "thickness_m",
-    *(f"layers.{k}.{key}" for k in range(MOST_LAYERS) for key in ("eps_r", "mu_r", "thickness_m")),
-)
+LOSS = "_loss"
+LAYER_KEYS = ("eps_r", f"eps_r{LOSS}", "mu_r", f"mu_r{LOSS}", "thickness_m")
+"""What a layer is: real parts, losses eps'' and mu'', and thickness."""
+OF_STACKS = ("thickness_m", *(f"layers.{k}.{key}" for k in range(MOST_LAYERS) for key in LAYER_KEYS))
 """What a fit to curves of RCS may learn of a stack; a power image does not depend on it."""
 
 Polarization = Literal["HH", "HV", "VH", "VV"]
@@ -363,6 +363,19 @@ class MaterialLayer(Table):
         description="Thickness of the layer [m].", examples=[0.002]
     )
 
+    def number(self, key: str) -> float:
+        """The value of one of `LAYER_KEYS`; a loss that is not stated is 0."""
+        name = key.removesuffix(LOSS)
+        stated = getattr(self, name)
+        real, imaginary = stated if isinstance(stated, tuple) else (stated, 0.0)
+        return float(real if key == name else -imaginary)
+
+    def with_number(self, key: str, new: float) -> MaterialLayer:
+        """With another value of one of `LAYER_KEYS` that it states. A real part keeps its loss, and a loss its part."""
+        name = key.removesuffix(LOSS)
+        real, loss = (new, self.number(name + LOSS)) if key == name else (self.number(name), new)
+        return self.model_copy(update={name: (real, -loss) if isinstance(getattr(self, name), tuple) else real})
+
     @field_validator("eps_r", "mu_r", mode="plain")
     @classmethod
     def _value(cls, value: Any) -> float | tuple[float, float]:
@@ -434,8 +447,7 @@ class Material(_WithOwn):
         default=("eps_r", "rms_height_m", "correlation_length_m"),
         description="The values that a fit may change; by default the first three, as far as the model has them. "
         '["learned_term"] trains the term, and holds the others; ["sigma0"] does so with a table\'s values. '
-        "From curves of RCS alone also thickness_m, and values of layers, as "
-        "layers.0.mu_r.",
+        "From curves of RCS alone also thickness_m, and values of layers, as layers.0.mu_r and layers.0.mu_r_loss.",
         examples=[["eps_r"]],
     )
     tolerance: dict[SurfaceKey, Any] = Field(
@@ -519,10 +531,15 @@ class Material(_WithOwn):
 
     @property
     def stacked(self) -> list[str]:
-        """The keys of `OF_STACKS` that it states."""
+        """The keys of `OF_STACKS` that it states: a loss where it is above 0."""
         if self.thickness_m is not None:
             return ["thickness_m"]
-        return [key for key in OF_STACKS[1:] if layer_of(key)[0] < len(self.layers)]
+        return [
+            f"layers.{number}.{key}"
+            for number, layer in enumerate(self.layers)
+            for key in LAYER_KEYS
+            if layer.number(key) or not key.endswith(LOSS)
+        ]
 
     def alike(self, number: int) -> set[int]:
         """The numbers in `layers` of those that are one layer with this one: in air its mirror image, too."""
