@@ -59,8 +59,8 @@ def not_established(
     the train views finds, such effects and angles and spacings of the sensor are not. A body lies at one place, and
     what is left may lie at another: its pose and its size are not where the strongest window lies on it or its shadow,
     nor where the train `images` there are less like the model than speckle is. The nearest size explains a part of any
-    error of shape, and the true one leaves nothing. Beside values that are `leaving` their tolerance an effect may stand in for their error, unless its own test
-    confirms it.
+    error of shape, and the true one leaves nothing. Beside values that are `leaving` their tolerance an effect may
+    stand in for their error, unless its own test confirms it.
     """
     left = {one for verdict in verdicts.values() for one in verdict.findings}
     if diagnosis.unexplained and not diagnosis.withdrawn:
