@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 from importlib import import_module
 from typing import Any, NoReturn
 
@@ -57,6 +58,10 @@ class LazyGroup(click.Group):
     def invoke(self, ctx: click.Context) -> Any:
         # Imports make half a million objects that stay. To look through them again and again takes 0.1 s of start-up.
         gc.set_threshold(100_000, 50, 50)
+        # NumPy reads it when it is loaded. Its BLAS would start threads of its own beside ours, for products too small
+        # to share, and they wait for one another in busy loops.
+        if "OMP_NUM_THREADS" not in os.environ:  # a user's own number stays
+            os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         from warpsar.runtime import console
 
         console.show_messages()

@@ -1,6 +1,8 @@
 """The command line: a refusal is one message and its exit status, never a traceback."""
 
+import os
 import re
+import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -209,3 +211,17 @@ def test_a_run_says_how_to_make_it_again() -> None:
     assert said == [str([*needed, *more, "--closed-form"]), str([*needed, "--resume", *more, "--closed-form"])]
     again = CliRunner().invoke(command, [*needed[2:], *more, "--closed-form"], catch_exceptions=False)
     assert again.output.splitlines() == said
+
+
+@pytest.mark.parametrize(
+    ("given", "threads"), [({}, "1"), ({"OPENBLAS_NUM_THREADS": "3"}, "3"), ({"OMP_NUM_THREADS": "2"}, "None")]
+)
+def test_blas_starts_no_threads_beside_ours(given: dict[str, str], threads: str) -> None:
+    """NumPy reads the number when it is loaded: the command sets it before, unless the user has."""
+    code = (
+        "import os, sys; from warpsar.cli import main as cli; assert 'numpy' not in sys.modules; "
+        "cli.main(['schema', '--help'], standalone_mode=False); print(os.environ.get('OPENBLAS_NUM_THREADS'))"
+    )
+    env = {k: v for k, v in os.environ.items() if k not in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")} | given
+    done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == threads

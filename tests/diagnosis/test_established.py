@@ -5,13 +5,15 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from comparisons import comparison
 from test_proposals import BOX, plain
 
-from warpsar.compare.judgement import Judgement
+from warpsar.compare.judgement import Judgement, judge
 from warpsar.diagnosis.found import Diagnosis
 from warpsar.diagnosis.models.projection import pixel_of
 from warpsar.diagnosis.result import not_established
 from warpsar.diagnosis.single_views import _moved_px
+from warpsar.learning.pose_sharing import boxes
 from warpsar.parameters.at import at
 from warpsar.scene.placing import with_objects
 
@@ -94,6 +96,23 @@ def test_a_size_is_not_established_beside_structure_on_its_body() -> None:
     assert beside_a_window(row, col, 1e-6) == {HELD_SIZE: "structure is left on it"}
     assert beside_a_window(2, 2, 1e-6) == {}
     assert beside_a_window(row, col, 0.5) == {}  # it was rows or columns that departed
+
+
+def test_a_size_is_not_established_where_its_body_is_less_like_the_model_than_speckle() -> None:
+    """Over a whole body a model may be too bright by so little that no window shows it."""
+    scene = with_objects(plain(), (BOX.model_copy(update={"name": "it", "material": "hut"}),))
+    body = (boxes(scene, scene.views[0]) or {})["it"].alone(np.ones(scene.grid.shape)) > 0.0
+    power = np.random.default_rng(3).gamma(1.0, 1.0, scene.grid.shape)
+    found: Any = SimpleNamespace(
+        held=[HELD_SIZE], on_trial=[], unexplained=False, withdrawn=[], final=SimpleNamespace(scene=scene)
+    )
+    alike, brighter, elsewhere = (
+        comparison(power, np.where(where, 4.0, 1.0), 1.0) for where in (body & False, body, ~body)
+    )
+    images = {name: [one] for name, one in (("alike", alike), ("on it", brighter), ("elsewhere", elsewhere))}
+    doubts = {name: not_established(found, {"train": judge([alike])}, (), some) for name, some in images.items()}
+    assert doubts["alike"] == doubts["elsewhere"] == {}
+    assert "on it and its shadow the deviance is" in doubts["on it"][HELD_SIZE]
 
 
 def test_how_far_an_angle_moves_outlines() -> None:

@@ -45,6 +45,8 @@ def test_moments_are_those_of_the_density(law: Law) -> None:
     looks = law.equivalent_looks
     deviance = expectation(lambda z: 2.0 * looks * (math.exp(z) - 1.0 - z), law)
     assert law.expected_deviance == pytest.approx(deviance, rel=1e-5)
+    square = expectation(lambda z: (2.0 * looks * (math.exp(z) - 1.0 - z) - deviance) ** 2, law)
+    assert law.deviance_variance == pytest.approx(square, rel=1e-4)
 
 
 @pytest.mark.parametrize("law", [*LAWS, Law(4.0, 400.0)])

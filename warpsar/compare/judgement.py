@@ -19,7 +19,7 @@ from functools import partial
 from typing import Any, Literal
 
 import numpy as np
-from scipy.special import erfc, erfcinv
+from scipy.special import erfc, erfcinv, gammaincc
 
 from warpsar.compare.comparison import LARGEST, SCATTERS, Comparison
 from warpsar.compare.edges import EdgeDisplacements, displaced, edges_of
@@ -273,6 +273,34 @@ def judge(images: Sequence[Comparison]) -> Judgement:
         estimated,
         float(correlation.sum()),
     )
+
+
+@dataclass(frozen=True)
+class Level:
+    """The mean of d / E[d] over a part of the images, what speckle makes of it, and the chance that speckle alone makes
+    as much, beyond what is granted."""
+
+    deviance: float
+    expected: float
+    p: float
+
+
+def level_within(images: Sequence[Comparison], inside: Sequence[np.ndarray], found: Judgement) -> Level | None:
+    """The level of the even pixels in masks (rows, cols), one for each image, beside what was `found` of all images.
+    None where there is none to be told.
+
+    A gamma law has the mean and the variance of the sum: a deviance's tail falls off as its own does.
+    """
+    masks = [image.even & mask for image, mask in zip(images, inside, strict=True)]
+    counts = np.array([int(mask.sum()) for mask in masks])
+    if not counts.any() or not math.isfinite(found.deviance_error):
+        return None
+    total = sum(image.scaled_deviance[mask[image.interior]].sum() for image, mask in zip(images, masks, strict=True))
+    relative = np.array([image.seen.law.deviance_variance / image.seen.law.expected_deviance**2 for image in images])
+    speckle = float(counts @ relative) / counts.sum() ** 2 * max(found.sharing, 1.0)
+    mean, granted = float(total / counts.sum()), found.own_deviance + LEVEL_MATTERS
+    shape = granted**2 / (speckle * found.own_deviance**2 + found.deviance_error**2)
+    return Level(mean, found.own_deviance, float(gammaincc(shape, shape * mean / granted)))
 
 
 def speckle_of(images: Sequence[Comparison]) -> SpeckleFact:

@@ -17,6 +17,7 @@ from scipy.sparse import csr_array
 from scipy.special import chdtrc
 
 from warpsar.compare.comparison import Comparison
+from warpsar.runtime.matmul import times
 
 BANDS = (1, 3)  # rows, or columns, of a band
 SHORTEST = 6  # lines of a wave
@@ -90,7 +91,7 @@ class Profiles:
         """The largest surprise of each draw, shape (draws,); `residuals`: (pixels, draws) of each image."""
         found = np.zeros(residuals[0].shape[1])
         for _, sums, lines in self._each(residuals):
-            found = np.maximum(found, sums.surprise((sums.weights @ lines) ** 2 / sums.variance[:, None]))
+            found = np.maximum(found, sums.surprise(times(sums.weights, lines) ** 2 / sums.variance[:, None]))
         return found
 
     def strongest(self, residuals: Sequence[np.ndarray], granted: float) -> AxisProfile:

@@ -13,7 +13,7 @@ from scipy.special import chdtri
 
 from warpsar.compare.comparison import Comparison
 from warpsar.compare.contract import ROLES
-from warpsar.compare.judgement import SHARE, Finding, Judgement, judge, speckle_of
+from warpsar.compare.judgement import SHARE, Finding, Judgement, judge, level_within, speckle_of
 from warpsar.compare.metrics import difference, likelihood_gain
 from warpsar.diagnosis.alternatives import Deciding, deciding
 from warpsar.diagnosis.found import REFUSES, Candidate, DiagnoseOptions, Diagnosis, EffectRival
@@ -47,16 +47,20 @@ from warpsar.speckle.scan import Spot
 
 
 def not_established(
-    diagnosis: Diagnosis, verdicts: Mapping[str, Judgement], leaving: Sequence[str] = ()
+    diagnosis: Diagnosis,
+    verdicts: Mapping[str, Judgement],
+    leaving: Sequence[str] = (),
+    images: Sequence[Comparison] = (),
 ) -> dict[str, str]:
     """Names of the final model that are not earned, with their objects, and why, in words.
 
     What the time left on trial is none. Beside edges that do not agree, nothing that moves edges is, be it a body, an
     angle or a shift of images, nor an effect whose own test does not confirm it. Beside structure, or what the scan of
     the train views finds, such effects and angles and spacings of the sensor are not. A body lies at one place, and
-    what is left may lie at another: its pose and its size are not where the strongest window lies on it or its shadow.
-    Beside values that are `leaving` their tolerance an effect may stand in for their error, unless its own test
-    confirms it.
+    what is left may lie at another: its pose and its size are not where the strongest window lies on it or its shadow,
+    nor where the train `images` there are less like the model than speckle is. The nearest size explains a part of any
+    error of shape, and the true one leaves nothing. Beside values that are `leaving` their tolerance an effect may
+    stand in for their error, unless its own test confirms it.
     """
     left = {one for verdict in verdicts.values() for one in verdict.findings}
     if diagnosis.unexplained and not diagnosis.withdrawn:
@@ -70,8 +74,11 @@ def not_established(
                 why[name] = "edges do not agree with it"
             elif "structure" in left and of(name).structure_doubts == "anywhere":
                 why[name] = "structure is left with it"
-            elif of(name).structure_doubts == "on it" and _is_left_on(diagnosis, verdicts, object_of(name)):
-                why[name] = "structure is left on it"
+            elif of(name).structure_doubts == "on it":
+                if _is_left_on(diagnosis, verdicts, object_of(name)):
+                    why[name] = "structure is left on it"
+                elif excess := _excess_on(diagnosis, images, verdicts, object_of(name)):
+                    why[name] = excess
         elif "edges" in left and get(name).stage == "position":
             why[name] = "edges do not agree with it"
         elif {"edges", "structure"} & left and not diagnosis.signed(name):
@@ -93,6 +100,20 @@ def _is_left_on(diagnosis: Diagnosis, verdicts: Mapping[str, Judgement], label: 
         if body is not None and body.meets(Box(low, (low[0] + window.rows, low[1] + window.columns))):
             return True
     return False
+
+
+def _excess_on(
+    diagnosis: Diagnosis, images: Sequence[Comparison], verdicts: Mapping[str, Judgement], label: str
+) -> str:
+    """How far the pixels of a body and its shadow are from the model, in words; empty where speckle may be as far."""
+    inside = []
+    for image in images:
+        body, whole = (boxes(diagnosis.final.scene, image.view) or {}).get(label), np.ones(image.usable.shape)
+        inside.append(np.zeros(whole.shape, bool) if body is None else body.alone(whole) > 0.0)
+    found = level_within(images, inside, verdicts["train"]) if images else None
+    if found is None or found.p >= SHARE:
+        return ""
+    return f"on it and its shadow the deviance is {found.deviance:.2f}, where speckle leaves {found.expected:.2f}"
 
 
 OPEN = 1e-3  # chance that a surface which explains all views costs train views more likelihood than is allowed
@@ -234,8 +255,9 @@ def judged(diagnosis: Diagnosis) -> Diagnosed:
     first = judge_of.with_own_numbers(diagnosis.declared.scene, edges=False)
     paying = under(first, diagnosis.scene), under(own, final)
     leaving = leaves_tolerance(diagnosis)
+    doubted = not_established(diagnosis, verdicts, leaving, of_role(models[-1], "train"))
     reasons = _reasons(diagnosis, [*diagnosis.verdict, *speckle.names], verdicts, paying, leaving)
-    doubted = not_established(diagnosis, verdicts, leaving)
+    reasons = reasons or [f"{name}: {why}" for name, why in doubted.items()]
     named = [name for name in diagnosis.held if name not in doubted]
     undecided = [rival for rival in diagnosis.rivals if rival.undecided and rival.effect in named]
     looks = float(np.median([seen.looks for seen in diagnosis.observations]))

@@ -77,6 +77,13 @@ class Law:
         """E[d] of one pixel about its mean, d = 2 L (I - 1 - ln I) with L the equivalent looks."""
         return -2.0 * self.equivalent_looks * self.log_mean
 
+    @property
+    def deviance_variance(self) -> float:
+        """Variance of d: I and ln I of a product have the covariance 1 / shape, summed over speckle and texture."""
+        looks = self.equivalent_looks
+        shared = sum(1.0 / shape for shape in self._shapes)
+        return 4.0 * looks**2 * (1.0 / looks + self.log_cumulant(2) - 2.0 * shared)
+
     def log_density(self, intensity: np.ndarray) -> np.ndarray:
         """ln of the density of intensities > 0 of mean 1, any shape: gamma, or K (Jakeman and Pusey, as above).
 
