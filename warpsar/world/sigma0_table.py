@@ -57,7 +57,8 @@ class Sigma0Table:
         The covariance is SPREAD^2 exp(-(difference of incidence / WIDTH)^2 / 2), and ROW^2 of each row alone.
         """
         apart = (self.incidence_deg[:, None] - self.incidence_deg) / WIDTH_DEG
-        return np.linalg.cholesky(SPREAD_DB**2 * np.exp(-0.5 * apart**2) + ROW_DB**2 * np.eye(len(apart)))
+        covariance = SPREAD_DB**2 * np.exp(-0.5 * apart**2) + ROW_DB**2 * np.eye(len(apart))
+        return np.asarray(np.linalg.cholesky(covariance), np.float64)
 
     def write(self, path: Path) -> None:
         """Write it as CSV, which `read` gives back to the bit."""
