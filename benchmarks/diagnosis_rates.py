@@ -52,7 +52,7 @@ VIEWS = ((10, 38, "train"), (100, 46, "train"), (195, 52, "train"), (280, 42, "t
 
 
 @dataclass(frozen=True)
-class Case:
+class RateCase:
     """`effects`: what the images hold and the scene does not declare; `names`: what a right verdict says."""
 
     effects: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
@@ -67,11 +67,11 @@ class Case:
 SINGLE: dict[str, dict[str, Any]] = {
     name: get(name).rate_case for name in names() if not (get(name).of_phase or get(name).of_left_out)
 }
-CASES: dict[str, Case] = {
-    "none": Case(),
-    **{name: Case({name: table}) for name, table in SINGLE.items()},
+CASES: dict[str, RateCase] = {
+    "none": RateCase(),
+    **{name: RateCase({name: table}) for name, table in SINGLE.items()},
     **{
-        "+".join(names): Case({name: SINGLE[name] for name in names})
+        "+".join(names): RateCase({name: SINGLE[name] for name in names})
         for names in (
             ("noise_floor", "point_spread"),
             ("multibounce", "antenna_pattern"),
@@ -79,10 +79,10 @@ CASES: dict[str, Case] = {
             ("noise_floor", "multibounce", "registration"),
         )
     },
-    "an object elsewhere": Case(geometry="object_pose"),
-    "an object not there": Case(geometry="absent_object"),
-    "an object missing": Case(geometry="missing_object"),
-    "a mover's smear": Case(outside="smear"),
+    "an object elsewhere": RateCase(geometry="object_pose"),
+    "an object not there": RateCase(geometry="absent_object"),
+    "an object missing": RateCase(geometry="missing_object"),
+    "a mover's smear": RateCase(outside="smear"),
 }
 ELSEWHERE = {"position_m": (0.6, -0.4, 0.0), "heading_deg": 6.0}  # of the hut, in the images
 HUT = slice(22, 32)  # its faces
@@ -128,7 +128,7 @@ def declared_scene(extra: bool) -> Scene:
     )
 
 
-def clean_images(case: Case, device: str | None, folder: Path, name: str) -> list[np.ndarray]:
+def clean_images(case: RateCase, device: str | None, folder: Path, name: str) -> list[np.ndarray]:
     """beta0 of every view without speckle, kept in `folder`."""
     path = folder / f"clean_{'_'.join(name.replace(chr(39), '').split())}.npz"
     if not path.is_file():

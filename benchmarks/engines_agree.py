@@ -33,7 +33,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import tables
 import trimesh
-from gallery_shapes import Parts, all_of, turn
+from gallery_shapes import ShapeParts, all_of, turn
 from numpy.typing import NDArray
 
 import warpsar
@@ -68,7 +68,7 @@ class Place:
     """
 
     words: str
-    parts: Parts
+    parts: ShapeParts
     materials: dict[str, dict[str, Any]]
     azimuth_deg: float = 20.0
     incidence_deg: float = 45.0
@@ -77,7 +77,7 @@ class Place:
     smooth: dict[str, dict[str, Any]] = field(default_factory=dict)
 
 
-def plates(parts: Parts, material: str, corner: Any, *pairs: tuple[Any, Any]) -> None:
+def plates(parts: ShapeParts, material: str, corner: Any, *pairs: tuple[Any, Any]) -> None:
     """Parallelograms from one corner."""
     at = np.asarray(corner, float)
     for one, other in pairs:
@@ -86,14 +86,14 @@ def plates(parts: Parts, material: str, corner: Any, *pairs: tuple[Any, Any]) ->
 
 
 def lawn() -> Place:
-    parts = Parts()
+    parts = ShapeParts()
     parts.ground((20.0, 16.0), 1.0, lambda x, y: np.where(np.abs(x - 2.0) < 3.0, "road", "soil"))
     return Place("lawn and road", parts, {"soil": SOIL, "road": ROAD})
 
 
 def dunes() -> Place:
     """Waves that shade one another and lie over."""
-    parts = Parts()
+    parts = ShapeParts()
 
     def height(x: F64, y: F64) -> F64:
         return 1.3 * np.sin(0.9 * y + 0.5 * np.sin(0.4 * x)) + 0.4 * np.cos(0.7 * x)
@@ -103,7 +103,7 @@ def dunes() -> Place:
 
 
 def rocks() -> Place:
-    parts = Parts()
+    parts = ShapeParts()
     parts.ground((16.0, 16.0), 1.0, all_of("soil"))
     for i, (x, y) in enumerate([(-4, -3), (3, -4), (0, 3), (5, 5), (-5, 5)]):
         rock = trimesh.creation.icosphere(subdivisions=5)
@@ -113,7 +113,7 @@ def rocks() -> Place:
 
 
 def trihedrals() -> Place:
-    parts = Parts()
+    parts = ShapeParts()
     for x, y, side in ((-3.0, 0.0, 0.5), (0.5, 0.5, 1.0), (4.0, -1.0, 0.3)):
         axes = np.eye(3) * side @ turn(25.0).T
         plates(parts, "metal", (x, y, 0.0), (axes[0], axes[1]), (axes[1], axes[2]), (axes[2], axes[0]))
@@ -121,14 +121,14 @@ def trihedrals() -> Place:
 
 
 def dihedral() -> Place:
-    parts = Parts()
+    parts = ShapeParts()
     x, y, z = np.diag([6.0, 5.0, 2.0]) @ turn(19.6).T
     plates(parts, "metal", (-3.0, 1.0, 0.0), (x, y), (x, z))
     return Place("dihedral of metal", parts, {"metal": METAL})
 
 
 def smooth_block() -> Place:
-    parts = Parts()
+    parts = ShapeParts()
     parts.ground((14.0, 14.0), 14.0, all_of("ground"))
     parts.box("block", (0.0, 0.0, 0.0), (4.0, 3.0, 2.5), 22.0)
     smooth = {**METAL, "eps_r": 5.0}
@@ -137,7 +137,7 @@ def smooth_block() -> Place:
 
 def balls() -> Place:
     """Slopes spread a glint over a part of the radius, which is small beside the cells here."""
-    parts = Parts()
+    parts = ShapeParts()
     for x, y, radius in ((-3.0, 0.0, 0.6), (0.0, 1.5, 1.0), (3.0, -1.0, 0.4)):
         parts.solid("ball", trimesh.creation.icosphere(subdivisions=6, radius=radius), (x, y, 0.0))
     slopes = {"eps_r": 9.0, "rms_height_m": 0.004, "correlation_length_m": 0.1, "specular_fraction": 1.0}
@@ -146,14 +146,14 @@ def balls() -> Place:
 
 
 def house() -> Place:
-    parts = Parts()
+    parts = ShapeParts()
     parts.ground((20.0, 20.0), 1.0, all_of("soil"))
     parts.house("wall", "roof", (0.0, 0.0, 0.0), (6.0, 8.0, 3.5), 2.0, 12.0)
     return Place("house on soil", parts, {"soil": SOIL, "wall": WALL, "roof": ROAD}, width_m=1.0)
 
 
 def town() -> Place:
-    parts = Parts()
+    parts = ShapeParts()
     street = lambda x, y: np.where((np.abs(x) < 4.0) | (np.abs(y) < 4.0), "road", "soil")  # noqa: E731
     parts.ground((60.0, 60.0), 2.0, street)
     for x, y, high in ((-15.0, -15.0, 7.0), (15.0, -14.0, 10.0), (-14.0, 15.0, 5.0), (16.0, 16.0, 8.0)):
@@ -165,7 +165,7 @@ def town() -> Place:
 
 
 def vehicle() -> Place:
-    parts = Parts()
+    parts = ShapeParts()
     parts.ground((14.0, 12.0), 1.0, all_of("road"))
     for primitive, size, x, y, heading in (
         ("car", (4.6, 1.8, 1.5), -3.0, 0.0, 65.0),
@@ -195,12 +195,12 @@ SCENES: dict[str, Callable[[], Place]] = {
 
 
 @dataclass(frozen=True)
-class Look:
+class Direction:
     azimuth_deg: float
     frequency_hz: float
 
 
-def looks_of(place: Place, count: int) -> list[Look]:
+def looks_of(place: Place, count: int) -> list[Direction]:
     """A Latin square of azimuths and frequencies, within one aperture and one band on either side."""
     cell = place.width_m / width_in_cells("taylor")
     aperture = np.rad2deg(SPEED_OF_LIGHT / place.frequency_hz / (2.0 * cell) / np.sin(np.deg2rad(place.incidence_deg)))
@@ -208,12 +208,12 @@ def looks_of(place: Place, count: int) -> list[Look]:
     steps = 2.0 * (np.arange(count) + 0.5) / count - 1.0
     order = np.random.default_rng(7).permutation(count)
     return [
-        Look(place.azimuth_deg + a * aperture, place.frequency_hz + f * band)
+        Direction(place.azimuth_deg + a * aperture, place.frequency_hz + f * band)
         for a, f in zip(steps, steps[order], strict=True)
     ]
 
 
-def scene_of(place: Place, looks: list[Look]) -> warpsar.Scene:
+def scene_of(place: Place, looks: list[Direction]) -> warpsar.Scene:
     """The scene for complex images, without a view; its image holds all of the mesh from everywhere."""
     mesh = place.parts.mesh()
     pixel = place.width_m / PIXELS
@@ -240,7 +240,7 @@ def effect(name: str, width: float | None = None) -> dict[str, Any]:
     return validate(name, table, f"effects.{name}")
 
 
-def both(place: Place, base: warpsar.Scene, look: Look, draws: int, seed: int) -> tuple[F64, F64]:
+def both(place: Place, base: warpsar.Scene, look: Direction, draws: int, seed: int) -> tuple[F64, F64]:
     """The power of one look by pixel: the mean over draws of its complex images, and the image of power."""
     view = warpsar.View(name="look", azimuth_deg=look.azimuth_deg, incidence_deg=place.incidence_deg)
     seen = replace(base, radar=base.radar.model_copy(update={"frequency_hz": look.frequency_hz}), views=[view])

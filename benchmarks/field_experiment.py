@@ -32,7 +32,7 @@ TEXTURE = "site"
 
 
 @dataclass
-class Fit:
+class FieldFit:
     """A fit, its errors per iteration, and what it is worth on views that it has not seen."""
 
     model: str
@@ -95,7 +95,7 @@ class Experiment:
 
     def fit(
         self, model: str, train: Sequence[str], *, loss: str = "gamma", variation: dict[str, float] | None = None
-    ) -> Fit:
+    ) -> FieldFit:
         seen = f"{len(train)} views ({', '.join(train)}), {'+'.join(self.polarizations)}"
         click.echo(f"fields: {model} from {seen} ...", err=True)
         rest = [name for name in HEXAGON if name not in train]
@@ -111,7 +111,7 @@ class Experiment:
             for key, scale in (("rmse", 1.0 / self.largest), ("deviance", 1.0), ("rmse_db", 1.0)):
                 stated = [row.get(f"{role}_{key}") for row in found.history]
                 curves[f"{role}_{key}"] = [] if None in stated else [scale * value for value in stated]
-        return Fit(
+        return FieldFit(
             model,
             tuple(train),
             self.polarizations,
@@ -221,7 +221,7 @@ def table(content: dict[str, Any]) -> str:
     return f"{tables.markdown(header, rows)}\n\n{floor}"
 
 
-def draw_iterations(path: Path, fits: Sequence[Fit]) -> None:
+def draw_iterations(path: Path, fits: Sequence[FieldFit]) -> None:
     figure, axes = new(9.0, 4.2, ncols=2)
     for axis, key, label in zip(
         axes, ("rmse", "deviance"), ("RMSE / largest measured value", "deviance / speckle floor"), strict=True
@@ -240,7 +240,7 @@ def draw_iterations(path: Path, fits: Sequence[Fit]) -> None:
     save(figure, path)
 
 
-def draw_views(path: Path, fits: Sequence[Fit], others: Sequence[Fit], floor: float) -> None:
+def draw_views(path: Path, fits: Sequence[FieldFit], others: Sequence[FieldFit], floor: float) -> None:
     """Errors on the views between, which no fit saw, against how many views were learned from."""
     figure, axes = new(9.0, 4.2, ncols=2)
     for axis, key in zip(axes, ("rmse", "clean_db"), strict=True):
@@ -265,7 +265,7 @@ def draw_views(path: Path, fits: Sequence[Fit], others: Sequence[Fit], floor: fl
     save(figure, path)
 
 
-def draw_images(path: Path, experiment: Experiment, fits: Sequence[Fit]) -> None:
+def draw_images(path: Path, experiment: Experiment, fits: Sequence[FieldFit]) -> None:
     """A view that no fit saw: measured, and what each model makes of it."""
     name = "az030"
     view = next(v for v in experiment.observed.views if v.name == name)
@@ -290,7 +290,7 @@ def draw_images(path: Path, experiment: Experiment, fits: Sequence[Fit]) -> None
     save(figure, path)
 
 
-def draw_maps(path: Path, hh: Experiment, first: Fit, both: Experiment, second: Fit) -> None:
+def draw_maps(path: Path, hh: Experiment, first: FieldFit, both: Experiment, second: FieldFit) -> None:
     """Truth, and what six views of HH and of HH+VV make of it; texels that no view sees are left grey."""
     columns = {"truth": hh.truth(), "learned, 6 views, HH": hh.maps(first.found)}
     columns["learned, 6 views, HH+VV"] = both.maps(second.found)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from gallery_shapes import Parts, all_of, fractal, turn
+from gallery_shapes import ShapeParts, all_of, fractal, turn
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -57,7 +57,7 @@ def car(number: int, x: float, y: float, heading: float, size: tuple[float, floa
 
 
 def city_block(folder: Path) -> Shot:
-    parts = Parts()
+    parts = ShapeParts()
 
     def ground(x: Array, y: Array) -> NDArray[np.str_]:
         street = (np.abs(x) > 48) | (np.abs(y) > 48)
@@ -84,8 +84,8 @@ def city_block(folder: Path) -> Shot:
     )
 
 
-def _aeroplane(parts: Parts, x: float, y: float, heading: float) -> None:
-    one = Parts()
+def _aeroplane(parts: ShapeParts, x: float, y: float, heading: float) -> None:
+    one = ShapeParts()
     one.rod("aircraft", (0.0, -16.0, 3.6), (0.0, 15.0, 3.6), 2.0, 32)
     one.ball("aircraft", (0.0, 15.0, 3.6), (2.0, 4.5, 2.0))
     wing = [(0, 4, 3.2), (17, -5, 4.0), (17, -7, 4.0), (0, -3, 3.2)]
@@ -102,7 +102,7 @@ def _aeroplane(parts: Parts, x: float, y: float, heading: float) -> None:
 
 
 def airport(folder: Path) -> Shot:
-    parts = Parts()
+    parts = ShapeParts()
 
     def ground(x: Array, y: Array) -> NDArray[np.str_]:
         runway, apron = np.abs(y + 85) < 22, (y > -20) & (np.abs(x) < 120)
@@ -138,7 +138,7 @@ def airport(folder: Path) -> Shot:
 
 
 def ship(folder: Path) -> Shot:
-    parts = Parts()
+    parts = ShapeParts()
     parts.ground((200.0, 60.0), 2.0, lambda x, y: np.full(x.shape, "water_rough"), lambda x, y: np.zeros(x.shape))
     sea = parts.pieces.pop()
     parts.add(sea[0], sea[1] + (0.0, -30.0, 0.0), sea[2])
@@ -180,7 +180,7 @@ def _clockwise(outline: list[tuple[float, float]]) -> bool:
 
 
 def vehicle(folder: Path) -> Shot:
-    parts = Parts()
+    parts = ShapeParts()
     rough = fractal(240, 1.2, 7) * 0.03
     parts.ground((24.0, 24.0), 0.1, all_of("grass"), lambda x, y: rough.ravel() - 0.03)
     for side in (-1.35, 1.35):
@@ -231,7 +231,7 @@ def terrain(folder: Path) -> Shot:
 
 
 def trihedrals(folder: Path) -> Shot:
-    parts = Parts()
+    parts = ShapeParts()
     parts.ground((38.0, 34.0), 1.0, all_of("grass"))
     parts.write(folder / "scene.obj")
     text = ""
@@ -249,7 +249,7 @@ def trihedrals(folder: Path) -> Shot:
 
 
 def forest(folder: Path) -> Shot:
-    parts = Parts()
+    parts = ShapeParts()
     relief = fractal(60, 2.2, 3).ravel() * 0.4
     parts.ground((120.0, 120.0), 2.0, lambda x, y: np.where(np.abs(x + 48) < 3, "gravel", "grass"), lambda x, y: relief)
     random = np.random.default_rng(2)
@@ -269,7 +269,7 @@ def forest(folder: Path) -> Shot:
 
 
 def bridge(folder: Path) -> Shot:
-    parts = Parts()
+    parts = ShapeParts()
 
     def ground(x: Array, y: Array) -> NDArray[np.str_]:
         return np.where(np.abs(x) < 48, "water_calm", "grass")
@@ -297,7 +297,7 @@ def bridge(folder: Path) -> Shot:
 
 
 def tank_farm(folder: Path) -> Shot:
-    parts = Parts()
+    parts = ShapeParts()
 
     def dike(x: Array, y: Array) -> Array:
         inside = [np.maximum(np.abs((a + 45.0) % 90.0 - 45.0) - 37.0, 0.0) for a in (x - 45.0, y - 45.0)]
@@ -334,7 +334,7 @@ def tank_farm(folder: Path) -> Shot:
 
 
 def wind_turbine(folder: Path) -> Shot:
-    parts = Parts()
+    parts = ShapeParts()
     relief = fractal(100, 2.0, 5).ravel() * 0.5
 
     def ground(x: Array, y: Array) -> NDArray[np.str_]:

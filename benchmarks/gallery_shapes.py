@@ -16,7 +16,7 @@ Outline = Sequence[tuple[float, float]]
 Place = tuple[float, float, float]
 
 
-class Parts:
+class ShapeParts:
     """Triangles by material; every method adds some."""
 
     def __init__(self) -> None:

@@ -52,7 +52,7 @@ METAL = warpsar.Material(conductor=True)
 
 
 @dataclass(frozen=True)
-class Case:
+class RcsTrial:
     """A body as its solver has it, and as declared."""
 
     measured: str
@@ -114,7 +114,7 @@ def counted(rows: Sequence[dict[str, Any]]) -> str:
     return tables.markdown(("measured", "declared", "to be found", "right", "wrong answers"), lines)
 
 
-def row_of(case: Case, what: str, asked: Sequence[MaterialTest]) -> dict[str, Any]:
+def row_of(case: RcsTrial, what: str, asked: Sequence[MaterialTest]) -> dict[str, Any]:
     """For JSON and `counted`: what was answered with `what` held back, and whether it is what is there."""
     said = [one for one in asked if one.outcome in ("named", "tied")]
     return {
@@ -179,7 +179,7 @@ def lying(outline: list[tuple[float, float]]) -> warpsar.Mesh:
     return warpsar.Mesh.of(made.vertices[:, [2, 0, 1]], made.faces)
 
 
-def cases(out: Path, only: str) -> Iterator[Case]:
+def cases(out: Path, only: str) -> Iterator[RcsTrial]:
     for name in (*OUTLINES, *BLOCKS):
         plastic = name in BLOCKS
         if only not in name:
@@ -192,7 +192,7 @@ def cases(out: Path, only: str) -> Iterator[Case]:
         of = "plastic" if plastic else "metal"
         for declared, material in (("metal", METAL), ("plastic", resin)):
             right = None if declared == of else {"metal": "metal", "plastic": "dielectric"}[of]
-            yield Case(f"{name} of {of}", declared, right, scene_of(mesh, material, folder / "measured"))
+            yield RcsTrial(f"{name} of {of}", declared, right, scene_of(mesh, material, folder / "measured"))
 
 
 def main() -> int:

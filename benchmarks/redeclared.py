@@ -38,7 +38,7 @@ UNNAMED = "something without a name here"
 
 
 @dataclass(frozen=True)
-class Trial:
+class Redeclaration:
     """A case that is changed: its mesh, the text of its scene file, and its images by their names. `wrong`: the names
     that are right; none where nothing is wrong."""
 
@@ -205,58 +205,62 @@ def smeared(name: str, image: np.ndarray) -> np.ndarray:
 
 TOWER, BRICK, CONCRETE = "tower", "brick", "concrete"
 TRIALS = {
-    "nothing": Trial("none"),
-    "azimuth of one": Trial("none", ("view_angles",), text=(azimuth(1.0, "az225"),)),
-    "azimuth of a test view": Trial("none", ("view_angles",), text=(azimuth(1.5, "az180"),)),
-    "azimuth of two": Trial("none", ("view_angles",), text=(azimuth(1.0, "az225"), azimuth(-0.8, "az000"))),
-    "azimuth of all": Trial("none", ("view_angles",), text=(azimuth(0.9),)),
-    "incidence of one": Trial("none", ("view_angles",), text=(incidence(-0.9, "az090"),)),
-    "incidence of all": Trial("none", ("view_angles",), text=(incidence(-0.6),)),
-    "both angles of one": Trial("none", ("view_angles",), text=(azimuth(1.0, "az090"), incidence(0.8, "az090"))),
-    "spacing in azimuth": Trial("none", ("pixel_spacing",), text=(spacing(0.5, 0.491),)),
-    "spacing in range": Trial("none", ("pixel_spacing",), text=(spacing(0.512, 0.5),)),
-    "both spacings": Trial("none", ("pixel_spacing",), text=(spacing(0.508, 0.508),)),
-    "tower too low": Trial("none", ("object_size",), (height(TOWER, 7.6),)),
-    "house too high": Trial("none", ("object_size",), (height(CONCRETE, 7.2),)),
-    "house too wide": Trial("none", ("object_size",), (wider(BRICK, 1.0, 0.0),)),
-    "tower moved": Trial("none", ("object_pose",), (moved(TOWER, 0.6, 0.4),)),
-    "house turned": Trial("none", ("object_pose",), (moved(CONCRETE, 0.0, 0.0, 4.0),)),
-    "two moved": Trial("none", ("object_pose",), (moved(CONCRETE, 0.6, 0.0), moved(BRICK, 0.0, -0.6))),
-    "no tower": Trial("none", ("missing_object",), (removed(TOWER),)),
-    "no house": Trial("none", ("missing_object",), (removed(BRICK),)),
-    "one house more": Trial("none", ("absent_object",), (added((-18, -18, 0), (-12, -14, 3.5), CONCRETE),)),
-    "an annex more": Trial("none", ("absent_object",), (added((-5, 2, 0), (-2, 6, 3), CONCRETE),)),
-    "fewer looks": Trial("none", ("looks",), text=(looks(10.0),)),
-    "more looks": Trial("none", ("looks",), text=(looks(24.0),)),
-    "gain of one": Trial("none", ("view_gain",), image=gains(az135=1.32)),
-    "gains of two": Trial("none", ("view_gain",), image=gains(az000=1.3, az225=0.8)),
-    "shift of one": Trial("none", ("aim_point",), image=rolled("az225", 1)),
-    "gabled roof": Trial("none", (UNNAMED,), (gable(BRICK, 2.0),)),
-    "tilted ground": Trial("none", (UNNAMED,), (tilted(1.5),)),
-    "smears": Trial("none", (UNNAMED,), image=smeared),
-    "mirrored images": Trial("none", (UNNAMED,), image=lambda name, image: image[:, ::-1]),
-    "floor, house too high": Trial("noise_floor", ("noise_floor", "object_size"), (height(BRICK, 5.0),)),
-    "floor, spacing": Trial("noise_floor", ("noise_floor", "pixel_spacing"), text=(spacing(0.5, 0.491),)),
-    "floor, a test view": Trial("noise_floor", ("noise_floor", "view_angles"), text=(azimuth(1.2, "az045"),)),
-    "floor, gabled roof": Trial("noise_floor", ("noise_floor", UNNAMED), (gable(BRICK, 2.0),)),
-    "blur, incidence": Trial("point_spread", ("point_spread", "view_angles"), text=(incidence(0.7),)),
-    "blur, house too high": Trial("point_spread", ("point_spread", "object_size"), (height(CONCRETE, 7.0),)),
-    "shift, no house": Trial("registration", ("registration", "missing_object"), (removed(BRICK),)),
-    "texture, azimuth": Trial("texture", ("texture", "view_angles"), text=(azimuth(1.2, "az315"),)),
-    "bounces, spacing": Trial("multibounce", ("multibounce", "pixel_spacing"), text=(spacing(0.5, 0.49),)),
-    "antenna, tower moved": Trial("antenna_pattern", ("antenna_pattern", "object_pose"), (moved(TOWER, 0.7, -0.4),)),
-    "missing box, looks": Trial("missing_object", ("missing_object", "looks"), text=(looks(9.0),)),
-    "missing box, tower": Trial("missing_object", ("missing_object", "object_size"), (height(TOWER, 7.8),)),
-    "looks, tower moved": Trial("looks_wrong", ("looks", "object_pose"), (moved(TOWER, 0.7, 0.6),)),
-    "house, a test view": Trial("tall", ("object_size", "view_angles"), text=(azimuth(1.2, "az270"),)),
-    "spacing, house too low": Trial("spacing_off", ("pixel_spacing", "object_size"), (height(CONCRETE, 5.2),)),
-    "gain, house moved": Trial(
+    "nothing": Redeclaration("none"),
+    "azimuth of one": Redeclaration("none", ("view_angles",), text=(azimuth(1.0, "az225"),)),
+    "azimuth of a test view": Redeclaration("none", ("view_angles",), text=(azimuth(1.5, "az180"),)),
+    "azimuth of two": Redeclaration("none", ("view_angles",), text=(azimuth(1.0, "az225"), azimuth(-0.8, "az000"))),
+    "azimuth of all": Redeclaration("none", ("view_angles",), text=(azimuth(0.9),)),
+    "incidence of one": Redeclaration("none", ("view_angles",), text=(incidence(-0.9, "az090"),)),
+    "incidence of all": Redeclaration("none", ("view_angles",), text=(incidence(-0.6),)),
+    "both angles of one": Redeclaration(
+        "none", ("view_angles",), text=(azimuth(1.0, "az090"), incidence(0.8, "az090"))
+    ),
+    "spacing in azimuth": Redeclaration("none", ("pixel_spacing",), text=(spacing(0.5, 0.491),)),
+    "spacing in range": Redeclaration("none", ("pixel_spacing",), text=(spacing(0.512, 0.5),)),
+    "both spacings": Redeclaration("none", ("pixel_spacing",), text=(spacing(0.508, 0.508),)),
+    "tower too low": Redeclaration("none", ("object_size",), (height(TOWER, 7.6),)),
+    "house too high": Redeclaration("none", ("object_size",), (height(CONCRETE, 7.2),)),
+    "house too wide": Redeclaration("none", ("object_size",), (wider(BRICK, 1.0, 0.0),)),
+    "tower moved": Redeclaration("none", ("object_pose",), (moved(TOWER, 0.6, 0.4),)),
+    "house turned": Redeclaration("none", ("object_pose",), (moved(CONCRETE, 0.0, 0.0, 4.0),)),
+    "two moved": Redeclaration("none", ("object_pose",), (moved(CONCRETE, 0.6, 0.0), moved(BRICK, 0.0, -0.6))),
+    "no tower": Redeclaration("none", ("missing_object",), (removed(TOWER),)),
+    "no house": Redeclaration("none", ("missing_object",), (removed(BRICK),)),
+    "one house more": Redeclaration("none", ("absent_object",), (added((-18, -18, 0), (-12, -14, 3.5), CONCRETE),)),
+    "an annex more": Redeclaration("none", ("absent_object",), (added((-5, 2, 0), (-2, 6, 3), CONCRETE),)),
+    "fewer looks": Redeclaration("none", ("looks",), text=(looks(10.0),)),
+    "more looks": Redeclaration("none", ("looks",), text=(looks(24.0),)),
+    "gain of one": Redeclaration("none", ("view_gain",), image=gains(az135=1.32)),
+    "gains of two": Redeclaration("none", ("view_gain",), image=gains(az000=1.3, az225=0.8)),
+    "shift of one": Redeclaration("none", ("aim_point",), image=rolled("az225", 1)),
+    "gabled roof": Redeclaration("none", (UNNAMED,), (gable(BRICK, 2.0),)),
+    "tilted ground": Redeclaration("none", (UNNAMED,), (tilted(1.5),)),
+    "smears": Redeclaration("none", (UNNAMED,), image=smeared),
+    "mirrored images": Redeclaration("none", (UNNAMED,), image=lambda name, image: image[:, ::-1]),
+    "floor, house too high": Redeclaration("noise_floor", ("noise_floor", "object_size"), (height(BRICK, 5.0),)),
+    "floor, spacing": Redeclaration("noise_floor", ("noise_floor", "pixel_spacing"), text=(spacing(0.5, 0.491),)),
+    "floor, a test view": Redeclaration("noise_floor", ("noise_floor", "view_angles"), text=(azimuth(1.2, "az045"),)),
+    "floor, gabled roof": Redeclaration("noise_floor", ("noise_floor", UNNAMED), (gable(BRICK, 2.0),)),
+    "blur, incidence": Redeclaration("point_spread", ("point_spread", "view_angles"), text=(incidence(0.7),)),
+    "blur, house too high": Redeclaration("point_spread", ("point_spread", "object_size"), (height(CONCRETE, 7.0),)),
+    "shift, no house": Redeclaration("registration", ("registration", "missing_object"), (removed(BRICK),)),
+    "texture, azimuth": Redeclaration("texture", ("texture", "view_angles"), text=(azimuth(1.2, "az315"),)),
+    "bounces, spacing": Redeclaration("multibounce", ("multibounce", "pixel_spacing"), text=(spacing(0.5, 0.49),)),
+    "antenna, tower moved": Redeclaration(
+        "antenna_pattern", ("antenna_pattern", "object_pose"), (moved(TOWER, 0.7, -0.4),)
+    ),
+    "missing box, looks": Redeclaration("missing_object", ("missing_object", "looks"), text=(looks(9.0),)),
+    "missing box, tower": Redeclaration("missing_object", ("missing_object", "object_size"), (height(TOWER, 7.8),)),
+    "looks, tower moved": Redeclaration("looks_wrong", ("looks", "object_pose"), (moved(TOWER, 0.7, 0.6),)),
+    "house, a test view": Redeclaration("tall", ("object_size", "view_angles"), text=(azimuth(1.2, "az270"),)),
+    "spacing, house too low": Redeclaration("spacing_off", ("pixel_spacing", "object_size"), (height(CONCRETE, 5.2),)),
+    "gain, house moved": Redeclaration(
         "none", ("view_gain", "object_pose"), (moved(BRICK, 0.6, 0.0),), image=gains(az090=1.41)
     ),
 }
 
 
-def make(trial: Trial, cases: Path, folder: Path) -> Path:
+def make(trial: Redeclaration, cases: Path, folder: Path) -> Path:
     """The trial's scene file, in `folder` with all that it names."""
     shutil.copytree(cases / trial.base, folder, dirs_exist_ok=True, ignore=shutil.ignore_patterns("truth.json"))
     mesh, path = read_mesh(folder / "scene.obj"), folder / "scene.toml"

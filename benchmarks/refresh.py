@@ -20,7 +20,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from tables import DIRTY, ROOT, UNKNOWN, Table, found, git, markdown
+from tables import DIRTY, ROOT, UNKNOWN, MarkedTable, found, git, markdown
 
 DEFAULT = ("warpsar", "kernels")
 # What a table measures, where it is more than that: by its name, or by what its name begins with.
@@ -41,7 +41,7 @@ def measures(name: str) -> tuple[str, ...]:
     return next((paths for key, paths in MEASURES.items() if name == key or name.startswith(f"{key}.")), DEFAULT)
 
 
-def state(table: Table, root: Path = ROOT) -> tuple[str, str]:
+def state(table: MarkedTable, root: Path = ROOT) -> tuple[str, str]:
     """`fresh`, `older` or `unknown`, and why."""
     commit = table.commit.removesuffix(DIRTY)
     if commit == UNKNOWN:
@@ -60,7 +60,7 @@ def state(table: Table, root: Path = ROOT) -> tuple[str, str]:
     return "fresh", ""
 
 
-def listed(tables: Sequence[Table], root: Path = ROOT) -> str:
+def listed(tables: Sequence[MarkedTable], root: Path = ROOT) -> str:
     rows = []
     for table in tables:
         said = ": ".join(filter(None, state(table, root)))
@@ -69,7 +69,7 @@ def listed(tables: Sequence[Table], root: Path = ROOT) -> str:
     return markdown(["table", "page", "command", "date", "commit", "state"], rows)
 
 
-def check(tables: Sequence[Table], root: Path = ROOT) -> int:
+def check(tables: Sequence[MarkedTable], root: Path = ROOT) -> int:
     """Says which tables are older than their code, and of which it cannot be told; 1 if any is older."""
     states = {table: state(table, root) for table in tables}
     for table, (word, why) in states.items():
@@ -80,7 +80,7 @@ def check(tables: Sequence[Table], root: Path = ROOT) -> int:
     return 1 if "older" in words else 0
 
 
-def run(tables: Sequence[Table], names: Sequence[str], root: Path = ROOT) -> int:
+def run(tables: Sequence[MarkedTable], names: Sequence[str], root: Path = ROOT) -> int:
     """Runs the commands of the named tables, each once; 1 if one fails, 2 if one cannot be run."""
     by_name = {table.name: table for table in tables}
     unknown = [name for name in names if name not in by_name]

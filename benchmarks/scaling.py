@@ -26,13 +26,13 @@ import numpy as np
 import tables
 from simulate import machine, said
 
-from warpsar.runtime import devices
+from warpsar.runtime import devices, once
 
 STEPS = 5  # of GraphAdam, ten iterations each; as many iterations of Adam on the CPU
 RAYS_PER_PIXEL = 32.0
 
 
-def town_of(ranks: Any, device: Any, options: argparse.Namespace, folder: Path) -> Any:
+def town_of(sharing: Any, device: Any, options: argparse.Namespace, folder: Path) -> Any:
     """The town with a field of three parameters per vertex, and images of it from all around, brighter than its own."""
     from scenes import LOOKS, around, town_scene
 
@@ -43,28 +43,28 @@ def town_of(ranks: Any, device: Any, options: argparse.Namespace, folder: Path) 
     scene = town_scene(options.faces, (options.pixels, options.pixels), RAYS_PER_PIXEL, layout="vertex")
     scene = around(scene, options.views, 0.0)
     made = Simulation(scene, Stage.of(scene, device))
-    for index, view in enumerate(scene.views):
-        if index % ranks.size == ranks.rank:
-            write_tiff(folder / f"{view.name}.tif", 1.3 * made.view(view, index).beta0["HH"])  # not the start
+    for index in sharing.mine([1.0] * len(scene.views)):
+        view = scene.views[index]
+        write_tiff(folder / f"{view.name}.tif", 1.3 * made.view(view, index).beta0["HH"])  # not the start
     del made
-    ranks.barrier()
+    sharing.barrier()
     seen = [{"images": {"HH": folder / f"{view.name}.tif"}, "looks": LOOKS} for view in scene.views]
     return replace(scene, views=[view.model_copy(update=one) for view, one in zip(scene.views, seen, strict=True)])
 
 
-def timed(ranks: Any, device: Any, task: Callable[[], Any]) -> tuple[float, Any]:
+def timed(sharing: Any, device: Any, task: Callable[[], Any]) -> tuple[float, Any]:
     """Seconds of the slowest process, and what the task returns."""
     import warp as wp
 
     wp.synchronize_device(device)
-    ranks.barrier()
+    sharing.barrier()
     started = time.perf_counter()
     result = task()
     wp.synchronize_device(device)
-    return ranks.largest(time.perf_counter() - started), result
+    return sharing.largest(time.perf_counter() - started), result
 
 
-def learn(ranks: Any, device: Any, options: argparse.Namespace, folder: Path) -> dict[str, Any]:
+def learn(sharing: Any, device: Any, options: argparse.Namespace, folder: Path) -> dict[str, Any]:
     """The whole of `learn`, an iteration of it, and its parts."""
     import warp as wp
 
@@ -77,8 +77,8 @@ def learn(ranks: Any, device: Any, options: argparse.Namespace, folder: Path) ->
     from warpsar.learning.problem import FitProblem
     from warpsar.learning.trust import outside_domains
 
-    scene = town_of(ranks, device, options, folder)
-    clock = partial(timed, ranks, device)
+    scene = town_of(sharing, device, options, folder)
+    clock = partial(timed, sharing, device)
 
     def whole(iterations: int) -> float:
         chosen = LearnOptions(optimiser="adam", rate=0.01, iterations=iterations)
@@ -107,13 +107,13 @@ def learn(ranks: Any, device: Any, options: argparse.Namespace, folder: Path) ->
     found["domains_s"] = clock(lambda: outside_domains(problem, x))[0]
     found["learn_s"] = whole(options.iterations)
     gradient: Any = wp.zeros(problem.surface.nodes.size, dtype=float, device=device)
-    ranks.sum_on_device(gradient)
-    found["reduce_s"] = clock(lambda: [ranks.sum_on_device(gradient) for _ in range(20)])[0] / 20
+    sharing.sum_on_device(gradient)
+    found["reduce_s"] = clock(lambda: [sharing.sum_on_device(gradient) for _ in range(20)])[0] / 20
     hits = [view.render.hits for view in problem.views]
     return found | {
-        "views_here": [int(n) for n in ranks.gather(len(hits))],
-        "merged_hits": int(ranks.sum(sum(each.count for each in hits))),
-        "rays": int(ranks.sum(sum(each.rays for each in hits))),
+        "views_here": [int(n) for n in sharing.gather(len(hits))],
+        "merged_hits": int(sharing.sum(sum(each.count for each in hits))),
+        "rays": int(sharing.sum(sum(each.rays for each in hits))),
         "parameters": int(problem.x0.size),
         "reduced_bytes": 4 * problem.surface.nodes.size,
         "loss": state.loss,
@@ -142,26 +142,27 @@ def write_town(options: argparse.Namespace, path: Path) -> None:
     path.write_text("\n".join(text) + "\n")
 
 
-def simulate(ranks: Any, device: Any, options: argparse.Namespace, folder: Path) -> dict[str, Any]:
+def simulate(sharing: Any, device: Any, options: argparse.Namespace, folder: Path) -> dict[str, Any]:
     """Images of the town at as many azimuths; what a process spends on an image, and on its file."""
     from warpsar.io.images import write_exr
     from warpsar.scene.scene import Scene
     from warpsar.simulation import batch
     from warpsar.simulation.command import Simulation
+    from warpsar.simulation.maker import sha256
     from warpsar.surface.stage import Stage
 
     path = folder / "town.toml"
-    if ranks.first:
+    if sharing.first:
         write_town(options, path)
-    ranks.barrier()
+    sharing.barrier()
 
     def images(count: int, out: Path) -> float:
-        ranks.barrier()
+        sharing.barrier()
         started = time.perf_counter()
         batch.run([path], out, azimuths=f"0:360:{360.0 / count:g}", incidences="45", device=device.alias)
-        return ranks.largest(time.perf_counter() - started)
+        return sharing.largest(time.perf_counter() - started)
 
-    images(2 * ranks.size, folder / "warm")
+    images(2 * sharing.size, folder / "warm")
     wall_s = images(options.images, folder / "out")
     started = time.perf_counter()
     scene = Scene.load(path)
@@ -173,9 +174,9 @@ def simulate(ranks: Any, device: Any, options: argparse.Namespace, folder: Path)
         image = one.view(scene.views[0], index)
     traced = time.perf_counter()
     for index in range(10):
-        target = folder / f"probe{ranks.rank}_{index}.exr"
+        target = folder / f"probe{once.number()}_{index}.exr"
         write_exr(target, image.beta0)
-        batch.sha256(target)
+        sha256(target)
     written = time.perf_counter()
     return {
         "wall_s": wall_s,
@@ -188,16 +189,14 @@ def simulate(ranks: Any, device: Any, options: argparse.Namespace, folder: Path)
 
 
 def work(options: argparse.Namespace) -> None:
-    from warpsar.runtime.distributed.processes import join
-
     device = devices.resolve_device(options.device)
-    ranks = join(device)
+    sharing = once.join(device)
     folder = Path(options.folder)
-    found: dict[str, Any] = {"ranks": ranks.size, "device": device.name}
+    found: dict[str, Any] = {"ranks": sharing.size, "device": device.name}
     for name, task in (("learn", learn), ("simulate", simulate)):
         (folder / name).mkdir(exist_ok=True)
-        found[name] = task(ranks, device, options, folder / name)
-    if ranks.first:
+        found[name] = task(sharing, device, options, folder / name)
+    if sharing.first:
         (folder / "found.json").write_text(json.dumps(found))
 
 

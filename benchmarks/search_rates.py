@@ -30,7 +30,7 @@ from towns import (
     SEEN,
     SHARING,
     START_SD,
-    Drawn,
+    DrawnTown,
     as_it_is,
     base,
     laws,
@@ -67,83 +67,83 @@ Made = tuple[Scene, Scene, Mapping[str, Any], Change]
 # ---- what the search has a name for ----
 
 
-def effect(name: str, table: Mapping[str, Any]) -> Callable[[Drawn, np.random.Generator], Drawn]:
+def effect(name: str, table: Mapping[str, Any]) -> Callable[[DrawnTown, np.random.Generator], DrawnTown]:
     return lambda drawn, random: replace(
         drawn, true=replace(drawn.true, effects={**drawn.true.effects, name: dict(table)})
     )
 
 
-def floor(drawn: Drawn, random: np.random.Generator) -> Drawn:
+def floor(drawn: DrawnTown, random: np.random.Generator) -> DrawnTown:
     return effect("noise_floor", {"level": float(random.uniform(0.002, 0.006))})(drawn, random)
 
 
-def shift(drawn: Drawn, random: np.random.Generator) -> Drawn:
+def shift(drawn: DrawnTown, random: np.random.Generator) -> DrawnTown:
     return effect("registration", {k: sign(random, 0.2, 0.6) for k in ("range_m", "azimuth_m")})(drawn, random)
 
 
-def gains(drawn: Drawn, random: np.random.Generator) -> Drawn:
+def gains(drawn: DrawnTown, random: np.random.Generator) -> DrawnTown:
     found = {view.name: sign(random, 0.8, 1.6) for view in drawn.true.views}
     return effect("view_gain", {"gain_db": found})(drawn, random)
 
 
-def response(drawn: Drawn, random: np.random.Generator) -> Drawn:
+def response(drawn: DrawnTown, random: np.random.Generator) -> DrawnTown:
     """An image blurred as power, as the library does to expected images."""
     found = {key: float(random.uniform(0.8, 1.4)) for key in ("range_fwhm_m", "azimuth_fwhm_m")}
     return effect("point_spread", {**found, "window": "gaussian"})(drawn, random)
 
 
-def ambiguity(drawn: Drawn, random: np.random.Generator) -> Drawn:
+def ambiguity(drawn: DrawnTown, random: np.random.Generator) -> DrawnTown:
     table = {"level": float(random.uniform(0.05, 0.1)), "offset_m": float(random.uniform(7.0, 12.0))}
     return effect("azimuth_ambiguity", table)(drawn, random)
 
 
-def view_azimuth(drawn: Drawn, random: np.random.Generator) -> Drawn:
+def view_azimuth(drawn: DrawnTown, random: np.random.Generator) -> DrawnTown:
     return replace(drawn, true=turned(drawn.true, drawn.true.views[0].name, azimuth_deg=sign(random, 0.8, 2.0)))
 
 
-def incidences(drawn: Drawn, random: np.random.Generator) -> Drawn:
+def incidences(drawn: DrawnTown, random: np.random.Generator) -> DrawnTown:
     return replace(drawn, true=turned(drawn.true, "", incidence_deg=sign(random, 0.8, 2.0)))
 
 
-def spacing(drawn: Drawn, random: np.random.Generator) -> Drawn:
+def spacing(drawn: DrawnTown, random: np.random.Generator) -> DrawnTown:
     step, factor, axis = drawn.true.grid.spacing_m, 1.0 + sign(random, 0.02, 0.04), int(random.integers(2))
     other = (step[0] * factor, step[1]) if axis == 0 else (step[0], step[1] * factor)
     return replace(drawn, true=replace(drawn.true, grid=drawn.true.grid.model_copy(update={"spacing_m": other})))
 
 
-def height(drawn: Drawn, random: np.random.Generator) -> Drawn:
+def height(drawn: DrawnTown, random: np.random.Generator) -> DrawnTown:
     factor = 1.0 + sign(random, 0.15, 0.35)
     return replace(drawn, true=moved(drawn.true, lambda v: v * [1.0, 1.0, factor]))
 
 
-def place(drawn: Drawn, random: np.random.Generator) -> Drawn:
+def place(drawn: DrawnTown, random: np.random.Generator) -> DrawnTown:
     way = random.uniform(0.0, 2.0 * math.pi)
     step = random.uniform(0.5, 1.2) * np.array([math.cos(way), math.sin(way), 0.0])
     return replace(drawn, true=moved(drawn.true, lambda v: v + step))
 
 
-def more(drawn: Drawn, random: np.random.Generator) -> Drawn:
+def more(drawn: DrawnTown, random: np.random.Generator) -> DrawnTown:
     """A box that the scene file does not have, from a car's size to a shed's, on free ground."""
     size = random.uniform([2.0, 3.5, 1.5], [3.0, 8.0, 3.0])
     return replace(drawn, true=with_box(drawn.true, size, free_place(drawn.true, random), random.uniform(0.0, math.pi)))
 
 
-def less(drawn: Drawn, random: np.random.Generator) -> Drawn:
+def less(drawn: DrawnTown, random: np.random.Generator) -> DrawnTown:
     return replace(drawn, true=without(drawn.true))
 
 
-def wrong_looks(drawn: Drawn, random: np.random.Generator) -> Drawn:
+def wrong_looks(drawn: DrawnTown, random: np.random.Generator) -> DrawnTown:
     factor = float(random.choice([random.uniform(0.4, 0.7), random.uniform(1.5, 2.5)]))
     return replace(drawn, law=laws(drawn.declared, factor=factor))
 
 
-def texture(drawn: Drawn, random: np.random.Generator) -> Drawn:
+def texture(drawn: DrawnTown, random: np.random.Generator) -> DrawnTown:
     looks = drawn.declared.views[0].looks
     assert looks is not None
     return replace(drawn, law=laws(drawn.declared, texture=float(random.uniform(1.5, min(8.0, 3.0 * (looks + 1.0))))))
 
 
-KNOWN: dict[str, tuple[Callable[[Drawn, np.random.Generator], Drawn], frozenset[str], str]] = {
+KNOWN: dict[str, tuple[Callable[[DrawnTown, np.random.Generator], DrawnTown], frozenset[str], str]] = {
     "noise_floor": (floor, frozenset({"noise_floor"}), "radar"),
     "multibounce": (effect("multibounce", get("multibounce").rate_case), frozenset({"multibounce"}), "world"),
     "registration": (shift, frozenset({"registration", "aim_point"}), "place"),
@@ -369,24 +369,24 @@ def kinds_of(number: int, random: np.random.Generator) -> list[str]:
     return found
 
 
-def drawn_scene(number: int, kinds: list[str], random: np.random.Generator) -> Drawn:
+def drawn_scene(number: int, kinds: list[str], random: np.random.Generator) -> DrawnTown:
     scene = base(random, gabled=1 if kinds == ["roof"] else int(random.integers(0, 2)))
     if group_of(number) == "outside":
-        return Drawn(*OUTSIDE[kinds[0]](random, scene))
-    found = Drawn(scene, scene, laws(scene), as_it_is)
+        return DrawnTown(*OUTSIDE[kinds[0]](random, scene))
+    found = DrawnTown(scene, scene, laws(scene), as_it_is)
     for kind in kinds:
         found = KNOWN[kind][0](found, random)
     return found
 
 
-def clean_images(found: Drawn, device: str) -> dict[str, np.ndarray]:
+def clean_images(found: DrawnTown, device: str) -> dict[str, np.ndarray]:
     made = zip(found.true.views, simulate(found.true, device=device), strict=True)
     return {view.name: found.change(view.name, one.beta0["HH"].astype(float)) for view, one in made}
 
 
 def visible(
     number: int, kinds: list[str], random: np.random.Generator, device: str
-) -> tuple[Drawn, dict[str, np.ndarray], float, bool]:
+) -> tuple[DrawnTown, dict[str, np.ndarray], float, bool]:
     """A scene in which what is wrong can be seen: with its images without speckle, 2 ln L of what there is to be found,
     and whether its speckle is correlated."""
     correlated = bool(random.random() < 0.3)

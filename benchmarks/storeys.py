@@ -23,7 +23,7 @@ import numpy as np
 import runs
 import tables
 from search_rates import block, clean_images
-from towns import Drawn, as_it_is, laws, seen, with_images
+from towns import DrawnTown, as_it_is, laws, seen, with_images
 
 from warpsar.diagnosis.command import in_short
 from warpsar.diagnosis.found import DiagnoseOptions
@@ -109,7 +109,7 @@ def one_run(key: str, device: str, minutes: float) -> dict[str, Any]:
     kind, resolution, looks = key.split("|")
     true, declared = (scene_of(storeys, float(resolution), float(looks)) for storeys in MADE[kind])
     random = np.random.default_rng(sum(map(ord, key)))
-    found = Drawn(true, declared, laws(declared), as_it_is)
+    found = DrawnTown(true, declared, laws(declared), as_it_is)
     clean = clean_images(found, device)
     there = seen(found, clean, 1.0, device)
     scene = replace(declared, views=with_images(random, found, clean, False))

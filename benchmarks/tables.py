@@ -33,7 +33,7 @@ MARKED = re.compile(
 
 
 @dataclass(frozen=True)
-class Table:
+class MarkedTable:
     """A table as its page has it. `commit` ends in `-dirty` where the code had changes that were not committed."""
 
     name: str
@@ -60,9 +60,9 @@ def marked(root: Path) -> Iterator[tuple[Path, re.Match[str]]]:
         yield from ((page, match) for match in matches)
 
 
-def found(root: Path = ROOT) -> list[Table]:
+def found(root: Path = ROOT) -> list[MarkedTable]:
     """Every table of every page."""
-    return [Table(*match.group("name", "command", "date", "commit"), page) for page, match in marked(root)]
+    return [MarkedTable(*match.group("name", "command", "date", "commit"), page) for page, match in marked(root)]
 
 
 def git(root: Path, *words: str) -> str | None:

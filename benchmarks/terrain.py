@@ -54,7 +54,7 @@ def hills(path: Path, longitude: float, latitude: float, size: int = SIZE) -> No
         file.write(heights.astype(np.float32), 1)
 
 
-class Speckle:
+class TerrainSpeckle:
     """Amplitudes of a single look, made where they are read."""
 
     dtype = np.dtype(np.uint16)
@@ -115,7 +115,7 @@ def main() -> None:
                         safe, path, Path(scratch) / "twin", crop=crop, geoid_offset_m=0.0, device=options.device
                     )
         if "pixels" in options.only:
-            speckled = replace(product, samples=Speckle(product.grid.lines, product.grid.pixels))
+            speckled = replace(product, samples=TerrainSpeckle(product.grid.lines, product.grid.pixels))
             for name in names:
                 with timed(f"with pixels, {name}"):
                     found = warpsar.twin(speckled, path, geoid_offset_m=0.0, crop=crop, device=options.device)

@@ -29,7 +29,7 @@ BOUND = 20.0
 
 
 @dataclass(frozen=True)
-class Drawn:
+class DrawnTown:
     """`true`: the scene of the images. `declared`: that of the file. `law`, by view: how power scatters. `change`: what
     is done to an image beside speckle."""
 
@@ -213,7 +213,7 @@ def seeing(views: Iterable[View], images: Callable[[View], np.ndarray]) -> list[
 
 
 def with_images(
-    random: np.random.Generator, found: Drawn, clean: Mapping[str, np.ndarray], correlated: bool
+    random: np.random.Generator, found: DrawnTown, clean: Mapping[str, np.ndarray], correlated: bool
 ) -> list[View]:
     """The declared views with the images under speckle."""
 
@@ -223,7 +223,7 @@ def with_images(
     return seeing(found.declared.views, image)
 
 
-def seen(found: Drawn, clean: Mapping[str, np.ndarray], sharing: float, device: str) -> float:
+def seen(found: DrawnTown, clean: Mapping[str, np.ndarray], sharing: float, device: str) -> float:
     """2 ln L by which images without speckle differ from the declared model, bounded, plus what other laws of speckle
     make of it: how much there is to be found. `sharing`: pixels that share one speckle."""
     views = seeing(found.declared.views, lambda view: np.maximum(clean[view.name], 1e-12))

@@ -60,7 +60,7 @@ WRONG = {
 
 
 @dataclass(frozen=True)
-class Ground:
+class TwinGround:
     """Heights (posts), classes and the number of the field (cells of land cover), and the corner, west and north."""
 
     heights: np.ndarray
@@ -80,7 +80,7 @@ def relief_of(seed: int) -> str:
     return list(RELIEF)[seed % len(RELIEF)]
 
 
-def ground_of(seed: int, product: Product) -> Ground:
+def ground_of(seed: int, product: Product) -> TwinGround:
     random = np.random.default_rng([20261128, seed])
     at = random.uniform(1500.0, product.grid.lines - 1500.0), random.uniform(1500.0, product.grid.pixels - 1500.0)
     latitude, longitude, _ = product.to_ground(*at, 200.0)
@@ -92,7 +92,7 @@ def ground_of(seed: int, product: Product) -> Ground:
     field = middles.query(np.stack(np.indices((side, side)), axis=-1) + 0.5)[1]
     of_field = random.choice(list(CLASSES), count, p=list(CLASSES.values()))
     corner = longitude - 0.5 * POSTS * POST_DEG, latitude + 0.5 * POSTS * POST_DEG
-    return Ground(heights.astype(np.float32), of_field[field].astype(np.uint8), field, corner)
+    return TwinGround(heights.astype(np.float32), of_field[field].astype(np.uint8), field, corner)
 
 
 def written(path: Path, values: np.ndarray, corner: tuple[float, float]) -> Path:
@@ -109,7 +109,7 @@ def written(path: Path, values: np.ndarray, corner: tuple[float, float]) -> Path
     return path
 
 
-def chosen_field(ground: Ground, of: int, random: np.random.Generator) -> int:
+def chosen_field(ground: TwinGround, of: int, random: np.random.Generator) -> int:
     """A field of a class, of the median's size or larger, away from the edge."""
     sizes = np.bincount(ground.field.ravel())
     inner = slice(60, -60)
@@ -121,7 +121,7 @@ def chosen_field(ground: Ground, of: int, random: np.random.Generator) -> int:
     return int(random.choice(np.setdiff1d(fit, ground.field[rim])))
 
 
-def levelled(ground: Ground, field: int) -> Ground:
+def levelled(ground: TwinGround, field: int) -> TwinGround:
     """A field as level as a lake, with shores of 8 posts."""
     posts = (ground.field == field).reshape(POSTS, COVERS, POSTS, COVERS).any(axis=(1, 3))
     inside = np.clip(1.0 - distance_transform_edt(~posts) / 8.0, 0.0, 1.0)
@@ -129,7 +129,7 @@ def levelled(ground: Ground, field: int) -> Ground:
     return replace(ground, heights=heights.astype(np.float32))
 
 
-def natural(ground: Ground, random: np.random.Generator, found: SimulatedProduct) -> np.ndarray:
+def natural(ground: TwinGround, random: np.random.Generator, found: SimulatedProduct) -> np.ndarray:
     """Factors of the pixels' power: each field has a level of its own, and levels wander over some 100 m."""
     own = random.normal(0.0, FIELD_DB, int(ground.field.max()) + 1)
     wandering = gaussian_filter(random.standard_normal(found.window.shape), 6.0)
@@ -138,7 +138,7 @@ def natural(ground: Ground, random: np.random.Generator, found: SimulatedProduct
     return np.asarray(factor / factor[np.isfinite(found.image["beta0"])].mean())
 
 
-def told(ground: Ground, one: TerrainDifference, wrong_field: int) -> str:
+def told(ground: TwinGround, one: TerrainDifference, wrong_field: int) -> str:
     """The name of a hypothesis; of a region, whether its place is in the field that is wrong."""
     place = re.search(r"about (-?[\d.]+) (-?[\d.]+),", one.words)
     if not one.name.startswith(("region ", "part ")) or place is None:
@@ -147,7 +147,7 @@ def told(ground: Ground, one: TerrainDifference, wrong_field: int) -> str:
 
 
 def asked(
-    ground: Ground, declared: SimulatedProduct, power: np.ndarray, truth: Mapping[str, float], field: int, seed: int
+    ground: TwinGround, declared: SimulatedProduct, power: np.ndarray, truth: Mapping[str, float], field: int, seed: int
 ) -> dict[str, Any]:
     """What is said of speckled power, and whether the interval of the first that is right holds the `truth`."""
     speckle = np.random.default_rng([7, seed]).gamma(LOOKS, 1.0 / LOOKS, power.shape)

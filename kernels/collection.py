@@ -165,6 +165,34 @@ class Rates:
     receiver: wp.vec3d
 
 
+@wp.struct
+class Antennas:
+    """The two that see a body, one record each, and how fast the directions to them turn."""
+
+    transmitter: wp.array[TubeRadar]
+    receiver: wp.array[TubeRadar]
+    rates: Rates
+
+
+@wp.struct
+class SentFields:
+    """What faces are made of, and which of the fields that they send count.
+
+    `single`: of first hits, on smooth faces. `more`: the currents of further ones. `diffuse`: what rough faces scatter
+    further on, 1 on the way back as well, 2 on the way there alone.
+    """
+
+    k: wp.float64
+    stuff: wp.array2d[Face]  # (1, materials)
+    material: wp.array[int]  # of each face
+    surface: wp.array[RoughSurface]
+    log_factorial: wp.array[wp.float64]
+    single: int
+    more: int
+    diffuse: int
+    seed: int
+
+
 @wp.func
 def effective_place(
     radar: TubeRadar, receiver: TubeRadar, rates: Rates, entry: wp.vec3d, leave: wp.vec3d, way: wp.float64
@@ -194,20 +222,10 @@ def effective_place(
 @wp.kernel(enable_backward=False)
 def tube_places_kernel(
     # In:
-    radar_in: wp.array[TubeRadar],
-    receiver_in: wp.array[TubeRadar],
-    rates: Rates,
-    k: wp.float64,
-    stuff_in: wp.array2d[Face],
-    material_in: wp.array[int],
+    antennas: Antennas,
+    of: SentFields,
     hits_in: wp.array2d[Hit],
     count_in: wp.array[int],
-    single: int,
-    more: int,
-    surface_in: wp.array[RoughSurface],
-    log_factorial_in: wp.array[wp.float64],
-    diffuse: int,
-    seed: int,
     # Out:
     place_out: wp.array2d[wp.vec3d],
     amplitude_out: wp.array3d[wp.vec2],
@@ -215,28 +233,29 @@ def tube_places_kernel(
 ):
     """Of every hit of a ray its effective place (rays, bounces) [m], its amplitude (rays, bounces, 4) [m], its face.
 
-    The first hit counts on smooth faces alone, with `single`: rough faces have places of their own. Further ones send
-    by their currents with `more`. Those on rough faces scatter, too: with `diffuse` 1 on the way back as well, which is
-    as long where the receiver is the transmitter, and with 2 on the way there alone.
+    The first hit counts on smooth faces alone: rough faces have places of their own. Further ones send by their
+    currents. Those on rough faces scatter, too, on the way back as well where the receiver is the transmitter: it is
+    then as long.
     """
     ray = wp.tid()
-    radar = radar_in[0]
-    receiver = receiver_in[0]
+    k = of.k
+    radar = antennas.transmitter[0]
+    receiver = antennas.receiver[0]
     fields = Pair()
     fields.h = unit(radar.u)
     fields.v = unit(radar.v)
     for b in range(count_in[ray]):
         hit = hits_in[b, ray]
-        stuff = stuff_in[0, material_in[hit.face]]
+        stuff = of.stuff[0, of.material[hit.face]]
         back = bounced_fields(stuff, k, fields, hit.d, hit.normal)
         rough = stuff.rms_height > wp.float64(0.0)
         counts = hit.seen
-        currents = more
+        currents = of.more
         if b == 0:
-            currents = single
+            currents = of.single
             if rough:
                 counts = 0
-        if currents == 0 and (diffuse == 0 or b == 0 or not rough):
+        if currents == 0 and (of.diffuse == 0 or b == 0 or not rough):
             counts = 0
         if counts != 0:
             sight = look(receiver, hit.point, 0.0)
@@ -244,15 +263,15 @@ def tube_places_kernel(
             if currents != 0:
                 factor = tube_factor(k, hit, sight)
                 four = sent(factor, fields, back, hit.d, hit.normal, sight.s, receiver.u, receiver.v)
-            if b > 0 and diffuse != 0 and rough:
-                surface = surface_in[material_in[hit.face]]
-                scattered = diffused(receiver, k, surface, fields, hit, seed, log_factorial_in)
-                if diffuse == 1:
+            if b > 0 and of.diffuse != 0 and rough:
+                surface = of.surface[of.material[hit.face]]
+                scattered = diffused(receiver, k, surface, fields, hit, of.seed, of.log_factorial)
+                if of.diffuse == 1:
                     scattered = there_and_back(scattered)
                 four = plus(four, scattered)
             way = sight.back + hit.path
             turn = turned(k * way)
-            place_out[ray, b] = effective_place(radar, receiver, rates, hits_in[0, ray].point, hit.point, way)
+            place_out[ray, b] = effective_place(radar, receiver, antennas.rates, hits_in[0, ray].point, hit.point, way)
             face_out[ray, b] = hit.face
             amplitude_out[ray, b, 0] = unphased(four.hh, turn)
             amplitude_out[ray, b, 1] = unphased(four.hv, turn)

@@ -15,12 +15,12 @@ from warpsar.io.images import write_tiff
 from warpsar.learning.command import LearnOptions, run
 from warpsar.learning.problem import FitProblem
 from warpsar.runtime import devices
-from warpsar.runtime.distributed.processes import Ranks, join
+from warpsar.runtime.distributed.processes import Sharing, join
 from warpsar.scene.scene import Scene
 from warpsar.simulation.command import run as simulate
 
 
-def collectives(ranks: Ranks, device: Any) -> dict[str, Any]:
+def collectives(ranks: Sharing, device: Any) -> dict[str, Any]:
     rank, size = ranks.rank, ranks.size
     # 1e16 + 1 = 1e16: what comes out depends on the order, which has to be the same for all
     awkward = np.random.default_rng(rank).normal(size=4097) * 10.0 ** np.random.default_rng(9).integers(-8, 8, 4097)
@@ -75,7 +75,7 @@ def fit(device: Any, path: Path, max_memory_gib: float | None) -> dict[str, Any]
     }
 
 
-def refusal(ranks: Ranks, device: Any, path: Path) -> str:
+def refusal(ranks: Sharing, device: Any, path: Path) -> str:
     """What a fit says to whose second view no pixel is left, which one rank alone finds out."""
     scene = Scene.load(path)
     black = path.parent / f"black_{ranks.size}.tif"

@@ -23,6 +23,7 @@ from warpsar.kernels.coherent.rough import RoughSurface, Scatterer, scattered
 from warpsar.kernels.coherent.tubes import (
     Hit,
     Tube,
+    TubeMesh,
     TubeRadar,
     bounced,
     hit_of,
@@ -110,41 +111,37 @@ def begin_kernel(
     radar_in: wp.array[TubeRadar],
     view_in: wp.array[int],
     vertices_in: wp.array[wp.vec3d],
-    held_in: wp.array[wp.vec3d],
-    faces_in: wp.array2d[int],
-    normals_in: wp.array2d[wp.vec3d],
-    curved_in: wp.array[int],
+    held: TubeMesh,
     face_in: wp.array[int],
     place_in: wp.array[wp.vec2d],
     side_u_in: wp.array[wp.vec2d],
     side_v_in: wp.array[wp.vec2d],
     standoff: wp.float64,
-    reach: float,
     # Out:
     tube_out: wp.array[Tube],
 ):
     """Tubes where they start.
 
     A tube that meets a curved surface first belongs to a place of its first face, and moves with the vertices: at the
-    silhouette the way changes without bounds for a tube that stays. `held_in`: the vertices without a gradient.
+    silhouette the way changes without bounds for a tube that stays. `held`: the mesh without a gradient.
     """
     i = wp.tid()
     radar = radar_in[view_in[i]]
     f = face_in[i]
-    known = start_tube(radar, place_in[i], side_u_in[i], side_v_in[i], standoff, reach)
-    if curved_in[f] == 0:
+    known = start_tube(radar, place_in[i], side_u_in[i], side_v_in[i], standoff, held.reach)
+    if held.curved[f] == 0:
         tube_out[i] = known
         return
-    at = met(known, way_to(known, held_in, faces_in, f), held_in, faces_in, normals_in, 0, f)
-    q0 = held_in[faces_in[f, 0]]
-    q1 = held_in[faces_in[f, 1]] - q0
-    q2 = held_in[faces_in[f, 2]] - q0
+    at = met(known, way_to(known, held.vertices, held.faces, f), held.vertices, held.faces, held.normals, 0, f)
+    q0 = held.vertices[held.faces[f, 0]]
+    q1 = held.vertices[held.faces[f, 1]] - q0
+    q2 = held.vertices[held.faces[f, 2]] - q0
     here = weights_on(q1, q2, at.point - q0)
     along_u = weights_on(q1, q2, at.pu)
     along_v = weights_on(q1, q2, at.pv)
-    p0 = vertices_in[faces_in[f, 0]]
-    e1 = vertices_in[faces_in[f, 1]] - p0
-    e2 = vertices_in[faces_in[f, 2]] - p0
+    p0 = vertices_in[held.faces[f, 0]]
+    e1 = vertices_in[held.faces[f, 1]] - p0
+    e2 = vertices_in[held.faces[f, 2]] - p0
     x = p0 + here[0] * e1 + here[1] * e2
     xu = cast(radar, x, along_u[0] * e1 + along_u[1] * e2)
     xv = cast(radar, x, along_v[0] * e1 + along_v[1] * e2)
@@ -154,7 +151,7 @@ def begin_kernel(
     place = wp.vec2d(wp.dot(x, radar.u), wp.dot(x, radar.v))
     side_u = wp.vec2d(wp.dot(xu, radar.u), wp.dot(xu, radar.v))
     side_v = wp.vec2d(wp.dot(xv, radar.u), wp.dot(xv, radar.v))
-    tube_out[i] = start_tube(radar, place, side_u, side_v, standoff, reach)
+    tube_out[i] = start_tube(radar, place, side_u, side_v, standoff, held.reach)
 
 
 @wp.kernel

@@ -72,8 +72,8 @@ def begun(folder: Path, device: str) -> FitProblem:
     scene = seeing(replace(start, materials=more, effects={"noise_floor": {"level": 1e-3}}), truth)
     where = devices.resolve_device(device)
     scene, terms = with_untrained_terms(scene, folder, lambda one: FitProblem(one, where))
-    blocks = [one.block(name) for name, one in terms.items()]
-    blocks += [one.block(name) for name, one in tables_to_learn(scene, folder / "out", "gamma").items()]
+    blocks = [one.block(scene, name) for name, one in terms.items()]
+    blocks += [one.block(scene, name) for name, one in tables_to_learn(scene, folder / "out", "gamma").items()]
     return FitProblem(scene, where, values=DeviceValues.of(blocks))
 
 

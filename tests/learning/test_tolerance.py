@@ -28,7 +28,7 @@ from warpsar.learning.pull import pulls
 from warpsar.learning.results import learned_scene
 from warpsar.runtime import devices
 from warpsar.runtime.distributed import processes
-from warpsar.runtime.distributed.processes import Ranks
+from warpsar.runtime.distributed.processes import Sharing
 from warpsar.scene.file import parse
 from warpsar.scene.scene import Scene
 from warpsar.world.transform import Transform
@@ -231,7 +231,7 @@ def test_the_fit_adds_it_to_loss_and_gradient_once(blurred: Scene) -> None:
     assert one.penalty(x) - other.penalty(x) == pytest.approx(one.prior.value(x))
 
 
-class Alike(Ranks):
+class Alike(Sharing):
     """As if another rank held the same views: every sum is twice this rank's."""
 
     def sum(self, array: Any) -> np.ndarray:

@@ -1,6 +1,7 @@
 """One tree of parameters: every number has one name, its value can be read, set and read again."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from warpsar.parameters.at import at
 from warpsar.scene.placing import with_objects
 from warpsar.scene.scene import Scene
 from warpsar.world.objects.table import Object
+from warpsar.world.scattering_term import learned
 from warpsar.world.transform import Transform
 
 pytestmark = pytest.mark.unit
@@ -22,7 +24,10 @@ EFFECTS = {
     "noise_floor": {"level": 0.01, "tolerance": {"level": 0.002}},
     "aim_point": {"range_m": {"a": 0.1, "b": 0.2}},
     "point_spread": {"range_fwhm_m": 1.1, "fixed": True},
+    "glints": {"strength": 0.5, "points": [[0.0, 0.0, 1.0, 30.0, 12.0, 3.0], [1.0, 0.5, 1.5, 80.0, 20.0, 6.0]]},
 }
+POINTS = [f"effects.glints.points[{key}]" for key in ("east_m", "north_m", "up_m", "azimuth_deg", "half_width_deg")]
+POINTS.append("effects.glints.points[level_dbsm]")
 
 
 @pytest.fixture(scope="module")
@@ -57,6 +62,7 @@ def test_names_of_a_whole_scene(scene: Scene) -> None:
         "effects.noise_floor.level",
         *(f"effects.aim_point.range_m[{name}]" for name in "ab"),
         "effects.point_spread.range_fwhm_m",
+        *("effects.glints.strength", *POINTS),
         *(f"objects.car.{key}" for key in ("position_m", "heading_deg", "pitch_deg", "roll_deg")),
         *(f"objects.car.{key}" for key in ("scale", "size_m", "cabin", "side_curvature")),
         *("views.azimuth_deg", "views.incidence_deg"),
@@ -92,6 +98,7 @@ def test_what_a_fit_may_change(scene: Scene) -> None:
         *(f"materials.block.{key}" for key in ("eps_r", "rms_height_m", "correlation_length_m")),
         "effects.noise_floor.level",
         *(f"effects.aim_point.range_m[{name}]" for name in "ab"),
+        "effects.glints.strength",
         *("objects.car.position_m", "objects.car.size_m"),
     }
 
@@ -102,7 +109,53 @@ def test_what_has_a_derivative(scene: Scene) -> None:
     free = {name for name, one in scene.parameters.items() if one.freed and one.root == "materials"}
     assert set(render.parameters) == free | {"materials.lawn.rms_height_m", "materials.lawn.correlation_length_m"}
     none = {name for name, one in scene.parameters.items() if not one.derivatives}
-    assert {name.partition(".")[0] for name in none} == {"views", "image"}
+    assert {name.partition(".")[0] for name in none if name not in POINTS} == {"views", "image"}
+    assert none >= set(POINTS)  # their places come from what views leave
+
+
+def test_how_far_a_fit_goes(scene: Scene) -> None:
+    """So far as `reach` says of the declared value, and within `fit_bounds`."""
+    tree = scene.parameters
+    for name, low, high in (
+        ("objects.car.position_m", (-50.0, -47.0, -50.0), (50.0, 53.0, 50.0)),
+        ("objects.car.size_m", (1.15, 0.45, 0.375), (18.4, 7.2, 6.0)),
+        ("objects.car.cabin", 0.1, 0.85),
+        ("objects.car.heading_deg", -180.0, 180.0),
+        ("views.a.incidence_deg", 20.0, 60.0),
+        ("materials.block.eps_r", 1.01, 300.0),
+    ):
+        np.testing.assert_allclose(tree[name].fit_ends, (low, high), rtol=1e-12, err_msg=name)
+    least, most = tree["image.range_spacing_m"].fit_ends
+    assert most / least == pytest.approx(1.25**2)
+    steep = scene.with_values({"views.a.incidence_deg": 80.0}).parameters["views.a.incidence_deg"]
+    assert steep.fit_ends == (60.0, 89.0)
+
+
+def test_tables_and_learned_terms_have_what_is_expected_of_them(scene: Scene, tmp_path: Path) -> None:
+    """Of weights w, that units @ w scatters as far as a term that has learned nothing, less what is left of it where it
+    has (Rasmussen and Williams 2006, equation 2.26). Of a table's rows, the square exponential and each row's own."""
+    places = np.column_stack([[0.5, 0.6, 0.9], *np.tile([[0.1], [1.0], [1.5]], 3)])
+    term = learned("ka_spm", places, {"HH": np.array([1.0, -0.5, 0.2])})
+    term.save(tmp_path / "term.json")
+    (tmp_path / "table.csv").write_text("incidence_deg,HH\n10,-5\n30,-8\n35,-9\n")
+    lawn = {"model": "facet", "sigma0": tmp_path / "table.csv", "learn": ("sigma0",)}
+    block = {**BRICK, "learned_term": tmp_path / "term.json"}
+    mesh = mesh_of(lawn=ground(8.0, 2), block=box((-1, -1, 0), (1, 1, 1)))
+    tree = scene_of(mesh, [view(30, 40)], materials={"lawn": lawn, "block": block}).parameters
+    weights, rows = tree["materials.block.learned_term[HH]"], tree["materials.lawn.sigma0[HH]"]
+    np.testing.assert_array_equal(weights.value, term.weights["HH"])
+    assert (weights.freed, rows.freed, rows.unit, weights.layout) == (False, True, "dB", "table")
+    assert weights.prior_root is not None
+    assert rows.prior_root is not None
+    root = term.units(places) @ weights.prior_root() * 10.0 / np.log(10.0)  # [dB]
+    left = term.sd_db("HH", places)
+    np.testing.assert_allclose(np.diag(root @ root.T), 9.0 - left**2 + 0.25**2, rtol=1e-9)
+    root = rows.prior_root()
+    angle = np.array([10.0, 30.0, 35.0])
+    expected = 9.0 * np.exp(-0.5 * ((angle[:, None] - angle) / 10.0) ** 2) + 0.25**2 * np.eye(3)
+    np.testing.assert_allclose(root @ root.T, expected, rtol=1e-12)
+    with pytest.raises(InputError, match=r"learned_term.HH.: stands in the file .*term.json; only a fit changes it"):
+        at(scene_of(mesh, [view(30, 40)], materials={"lawn": lawn, "block": block}), {weights: weights.value})
 
 
 def uniform(scene: Scene) -> dict[str, Any]:

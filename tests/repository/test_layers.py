@@ -77,16 +77,8 @@ REGISTRIES = ("effects", "models", "formats", "simulation.formats", "diagnosis.g
 """Folders of which `registry.py` finds the files by name."""
 
 PROCESSES = "warpsar.runtime.distributed"
-SHARING = {
-    "warpsar.runtime.once",  # what everybody else may ask
-    "warpsar.learning.problem",  # the views of a fit
-    "warpsar.learning.held",
-    "warpsar.simulation.command",  # the images of a scene
-    "warpsar.simulation.batch",
-    "warpsar.simulation.index",
-    "warpsar.compare.comparison",  # the images that are compared
-}
-"""The modules that share work out among the processes of a run. To all others a run is one program."""
+ONCE = "warpsar.runtime.once"
+"""What everybody else asks. To all others a run is one program, whose work is shared by whoever is there."""
 READS_TORCHRUN = {f"warpsar.runtime.{name}" for name in ("busy", "console", "devices", "memory", "threads")}
 """They read of the environment how many processes share this host's cores, and which of them speaks."""
 
@@ -292,13 +284,15 @@ def knowing(found: list[Arrow]) -> dict[str, set[str]]:
 
 
 def ranked(path: Path) -> set[str]:
-    """What a file names of several processes: `Ranks`, an argument or attribute of that kind, torch's package,
+    """What a file names of several processes: an argument or attribute that is a process's rank, torch's package,
     torchrun's environment."""
     names = set()
+    ranks = {"ranks", "_ranks", "torch.distributed", "RANK", "LOCAL_RANK", "WORLD_SIZE"}
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         of_node = [getattr(node, key, None) for key in ("attr", "arg", "name", "value")]
-        names |= {name for name in of_node if isinstance(name, str)}
-    return names & {"ranks", "_ranks", "Ranks", "torch.distributed", "RANK", "LOCAL_RANK", "WORLD_SIZE"}
+        names |= ranks.intersection(name for name in of_node if isinstance(name, str))
+        names |= {"rank"} if isinstance(node, ast.Attribute) and node.attr == "rank" else set()
+    return names
 
 
 def test_files_are_written_by_commands() -> None:
@@ -311,13 +305,16 @@ def test_files_are_written_by_commands() -> None:
                 writing.add(name)
     assert "warpsar.io.checkpoint" in writing
     commands = {name for name in writing if name.endswith(".command") or name.startswith("warpsar.cli.")}
-    assert writing - commands == {"warpsar.io.checkpoint", "warpsar.learning.learn", "warpsar.simulation.batch"}
+    batch = {"warpsar.simulation.batch", "warpsar.simulation.index"}
+    assert writing - commands == {"warpsar.io.checkpoint", "warpsar.learning.learn"} | batch
 
 
 def test_processes_are_known_where_work_is_shared(found: list[Arrow]) -> None:
-    assert knowing(found) == {"processes": SHARING, "torchrun": READS_TORCHRUN}
+    assert knowing(found) == {"processes": {ONCE}, "torchrun": READS_TORCHRUN}
     naming = {name for name, path in sources(ROOT).items() if ranked(path) and not name.startswith(PROCESSES)}
-    assert naming <= SHARING
+    assert naming == {ONCE}  # `number` is the process's rank
+    for path in (*ROOT.glob("benchmarks/**/*.py"), *ROOT.glob("examples/**/*.py")):
+        assert PROCESSES not in path.read_text(encoding="utf-8"), path
 
 
 @pytest.fixture
@@ -364,9 +361,9 @@ def test_a_circle_inside_a_room_is_found(house: Path) -> None:
 def test_who_knows_of_processes_is_found(house: Path, how: str) -> None:
     path = house / "warpsar/runtime/distributed/processes.py"
     path.parent.mkdir(parents=True)
-    path.write_text("import torch.distributed\n\nclass Ranks:\n    size = int(environ['WORLD_SIZE'])")
+    path.write_text("import torch.distributed\n\nclass Sharing:\n    rank = 0\n    size = int(environ['WORLD_SIZE'])")
     assert knowing(arrows(house)) == {}
-    assert ranked(path) == {"Ranks", "torch.distributed", "WORLD_SIZE"}
+    assert ranked(path) == {"torch.distributed", "WORLD_SIZE"}
     text = UP[how].replace("warpsar.scene.scene", f"{PROCESSES}.processes")
     (house / "warpsar/world/mesh.py").write_text(
         text.replace("warpsar.scene", PROCESSES).replace("import scene", "import processes")

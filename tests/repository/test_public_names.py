@@ -1,12 +1,11 @@
 """Each public name has one path: `warpsar.NAME`, or `warpsar.ROOM.NAME` where the room's `__all__` has it. And no two
-classes of the house have one name."""
+classes of the house and its benchmarks have one name."""
 
 from __future__ import annotations
 
 import ast
 import json
 import re
-from functools import cache
 from importlib import import_module
 from pathlib import Path
 
@@ -28,29 +27,32 @@ METAPHORS = {"bench", "course", "lead", "door", "told", "said", "heard", "begun"
 """Words that say nothing of SAR, nor of what a function does."""
 
 
-@cache
-def defined() -> list[tuple[Path, str, bool]]:
-    """Every class, function and module of the house, every argument and variable: where, its name, and whether it is a
-    class."""
+HOUSE = ("warpsar", "kernels", "cli")
+
+
+def defined() -> list[tuple[Path, str]]:
+    """Every class, function and module of the house, every argument and variable: where, and its name."""
     found = []
-    for folder in ("warpsar", "kernels", "cli"):
+    for folder in HOUSE:
         for path in sorted((ROOT / folder).rglob("*.py")):
-            found.append((path, path.stem, False))
+            found.append((path, path.stem))
             for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
                 if isinstance(node, ast.ClassDef | ast.FunctionDef):
-                    found.append((path, node.name, isinstance(node, ast.ClassDef)))
+                    found.append((path, node.name))
                 elif isinstance(node, ast.arg):
-                    found.append((path, node.arg, False))
+                    found.append((path, node.arg))
                 elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
-                    found.append((path, node.id, False))
+                    found.append((path, node.id))
     return found
 
 
 def test_a_public_class_has_its_name_alone() -> None:
     places: dict[str, list[str]] = {}
-    for path, name, is_class in defined():
-        if is_class and not name.startswith("_"):
-            places.setdefault(name, []).append(str(path.relative_to(ROOT)))
+    for folder in (*HOUSE, "benchmarks", "examples"):
+        for path in sorted((ROOT / folder).rglob("*.py")):
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                    places.setdefault(node.name, []).append(str(path.relative_to(ROOT)))
     assert len(places) > 200
     assert {name: where for name, where in places.items() if len(where) > 1} == {}
 
@@ -59,7 +61,7 @@ def test_names_are_no_metaphors() -> None:
     words = re.compile(r"[A-Z]?[a-z]+|[A-Z]+")
     wrong = [
         f"{path.relative_to(ROOT)}: {name}"
-        for path, name, _ in defined()
+        for path, name in defined()
         if METAPHORS & {word.lower() for word in words.findall(name)}
     ]
     assert wrong == []

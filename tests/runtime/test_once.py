@@ -14,14 +14,14 @@ from warpsar.errors import InputError
 from warpsar.learning.optimise import FitState
 from warpsar.runtime import once
 from warpsar.runtime.distributed import processes
-from warpsar.runtime.distributed.processes import ONE, Ranks
+from warpsar.runtime.distributed.processes import ONE, Sharing
 from warpsar.runtime.distributed.travel import packed, unpacked
 from warpsar.speckle.scan import Spot
 
 pytestmark = pytest.mark.unit
 
 
-class Second(Ranks):
+class Second(Sharing):
     """The second of two processes, of which the first says 1."""
 
     rank, size = 1, 2

@@ -30,7 +30,6 @@ from warpsar.errors import InputError
 from warpsar.io import images
 from warpsar.io.images import read_channel
 from warpsar.runtime.background import Background
-from warpsar.runtime.distributed.processes import ONE
 from warpsar.scene.scene import Scene
 from warpsar.scene.unwrap import write_obj
 from warpsar.simulation import maker
@@ -379,7 +378,7 @@ def test_rows_that_find_no_room(tmp_path: Path) -> None:
     path, out = scene_file(tmp_path / "a"), tmp_path / "out"
     (out / PARTS).mkdir(parents=True)
     part = out / PARTS / "0.csv"
-    index = Index(out, ONE)
+    index = Index(out)
     (out / PARTS).mkdir()
     part.symlink_to("/dev/full")
     with pytest.raises(OSError, match="No space left"):

@@ -21,6 +21,7 @@ from warpsar.simulation.rays import trace_view
 from warpsar.surface.stage import Stage
 from warpsar.viewer.drapes import layover
 from warpsar.viewer.page import _levels, by_meaning, strong
+from warpsar.viewer.points import with_points
 from warpsar.viewer.surface import drawn, owners
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -67,6 +68,19 @@ def content_of(page: str) -> dict:
     found = re.search(r'<script type="application/json" id="data">(.*?)</script>', page, re.S)
     assert found
     return json.loads(found[1])
+
+
+def test_points_have_no_parameters(sheet: warpsar.Scene) -> None:
+    """A scatterer is none of the surface: its corners have a level, and no value of a material."""
+    surface = drawn(sheet)
+    found = with_points(surface, sheet, np.array([[0.0, 0.0, 5.0]]), {"HH": np.array([10.0])})
+    corners = len(surface.corners)
+    assert found.parameters.keys() == surface.parameters.keys() != set()
+    for key, values in found.parameters.items():
+        np.testing.assert_array_equal(values[:corners], surface.parameters[key])
+        assert np.isnan(values[corners:]).all()
+        assert len(values) == len(found.corners)
+    assert found.levels_db["scatterers HH [dBsm]"][corners:].tolist() == [10.0] * 6
 
 
 def test_a_sheet_over_the_ground_lies_over_it_in_all_its_pixels(sheet: warpsar.Scene) -> None:

@@ -186,8 +186,7 @@ class Held:
         tube = program.array(n, tubes.Tube)
         first = upload(np.ascontiguousarray(paths.face[:, 0]), int, device)
         view = upload(paths.view, int, device)
-        inputs = [self.sight.radars, view, self.vertices, body.rays.vertices, body.rays.faces, body.rays.normals]
-        inputs += [body.rays.curved, first, *sides, body.standoff, body.rays.reach]
+        inputs = [self.sight.radars, view, self.vertices, body.rays, first, *sides, body.standoff]
         program.launch(slopes.begin_kernel, n, inputs, [tube])
         packed = records(radiate.Pair, (n, frequencies))
         packed["h"]["re"] = self.sight.directions.u[paths.view, None]

@@ -224,11 +224,20 @@ class CoarseCells:
         place = wp.zeros((n, most), dtype=wp.vec3d, device=body.device)
         amplitude = wp.zeros((n, most, 4), dtype=wp.vec2, device=body.device)
         face = wp.zeros((n, most), dtype=int, device=body.device)
-        inputs = [self.radar, receiver, self.rates, float(worker.k[0]), worker.stuff, body.face_material]
-        inputs += [traced.hits, traced.ends.count]
-        inputs += [int(not self.returned and "single" in worker.terms), int(not self.returned)]
-        diffuse = (2 if apart else 1) if "rough" in worker.terms else 0
-        inputs += [body.surfaces, log_factorials(str(body.device)), diffuse, body.seed % 2**31]
+        antennas = fill(kernels.Antennas, transmitter=self.radar, receiver=receiver, rates=self.rates)
+        of = fill(
+            kernels.SentFields,
+            k=float(worker.k[0]),
+            stuff=worker.stuff,
+            material=body.face_material,
+            surface=body.surfaces,
+            log_factorial=log_factorials(str(body.device)),
+            single=int(not self.returned and "single" in worker.terms),
+            more=int(not self.returned),
+            diffuse=(2 if apart else 1) if "rough" in worker.terms else 0,
+            seed=body.seed % 2**31,
+        )
+        inputs = [antennas, of, traced.hits, traced.ends.count]
         wp.launch(kernels.tube_places_kernel, n, inputs=inputs, outputs=[place, amplitude, face], device=body.device)
         values = complex_of(amplitude).reshape(-1, 4)
         if self.returned:

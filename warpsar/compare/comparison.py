@@ -15,8 +15,7 @@ from warpsar.compare.metrics import ImageMetrics, image_metrics
 from warpsar.compare.modelled import BY_RAYS, SURE_SDS, KeptAreas, Modelled, modelled, sampled
 from warpsar.compare.observation import Observation, declared_looks, looks_of, observe, usable_pixels
 from warpsar.effects.registry import declared, get
-from warpsar.runtime import console
-from warpsar.runtime.distributed.processes import ONE, Ranks, join
+from warpsar.runtime import console, once
 from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import hit_grid
 from warpsar.simulation.sampling import RAY_NOISE, choose_density
@@ -231,7 +230,7 @@ def compare(
     # Image effects only lower the noise of what is lit, but spread light where next to none is left to measure it on.
     plain = replace(scene, effects={name: t for name, t in scene.effects.items() if get(name).stage != "image"})
     looks = [looks_of(scene, view) for _, view in views]
-    ranks = join(device) if shared else ONE
+    sharing = once.join(device) if shared else once.ALONE
     density = scene.sampling.density_per_m2(scene.grid)
     if sampled(plain):  # exact areas alone have no noise for which more would be chosen
         named = [view for _, view in views]
@@ -241,7 +240,7 @@ def compare(
         )
     grid = hit_grid(scene)
     costs = [ray_count(stage.target, geometry_of(scene, view), grid, density) * len(view.images) for _, view in views]
-    mine = ranks.mine(costs)
+    mine = sharing.mine(costs)
     bar = console.progress(len(mine), progress, "view") if progress else None
 
     def images() -> list[Comparison]:
@@ -253,10 +252,10 @@ def compare(
                 bar.update()
         return found
 
-    found = ranks.agree(images)
+    found = sharing.agree(images)
     if bar is not None:
         bar.close()
-    return SceneComparison(_collected(scene, found, ranks) if ranks.size > 1 else found, found, density)
+    return SceneComparison(found if sharing.alone else _collected(scene, found, sharing), found, density)
 
 
 def beside(scene: Scene, view: View, polarization: str, model: Modelled) -> Comparison:
@@ -302,10 +301,10 @@ def _smeared(scene: Scene, view: View) -> float:
     return 1.0 + sum(float(np.ptp(np.gradient(one, place))) / np.pi for one in turned if one is not None)
 
 
-def _collected(scene: Scene, images: Sequence[Comparison], ranks: Ranks) -> list[Comparison]:
+def _collected(scene: Scene, images: Sequence[Comparison], sharing: once.Sharing) -> list[Comparison]:
     """The images of all processes on the first one, in the order of the scene's views, which every process has read."""
     views, without = {view.name: view for view in scene.views}, cast(View, None)
     mine = [(image.view.name, replace(image, seen=replace(image.seen, view=without))) for image in images]
-    found = [each for part in ranks.collect(mine) for each in part]
+    found = [each for part in sharing.collect(mine) for each in part]
     found.sort(key=lambda each: list(views).index(each[0]))
     return [replace(image, seen=replace(image.seen, view=views[name])) for name, image in found]

@@ -19,7 +19,7 @@ from warpsar.scene.scene import Scene
 from warpsar.surface.surface import Block, Surface
 from warpsar.surface.tables import Tables
 from warpsar.world import sigma0_table
-from warpsar.world.models import TABLE
+from warpsar.world.models import TABLE, TERM
 from warpsar.world.world import World
 
 VERTICES = "mesh.vertices"
@@ -123,13 +123,15 @@ def render_parameters(
     found: dict[str, RenderParameter] = {}
     for name, one in scene.parameters.items():
         place: dict[str, Any] = {}
+        if one.layout == "table" and one.key != TABLE:
+            continue
         if one.root == "effects":
             its = get(one.owner).parameter(one.key)
             index = get(one.owner).parameters.index(its)
             if its.per_material:  # it stands last, with a value for each of the mesh's materials
                 index += scene.mesh.materials.index(str(one.entry))
             place = {"index": index, "zero_sum": its.zero_sum}
-        elif one.layout == "table" and one.freed:
+        elif one.key == TABLE and one.freed:
             assert tables is not None
             place = {"column": _column(surface, tables, one, scene)}
         elif one.root == "materials" and one.freed and "power" in one.derivatives:
@@ -166,6 +168,8 @@ def known_name(scene: Scene, known: Parameters[RenderParameter], name: str) -> s
         raise InputError(f"{name}: {_no_parameter(scene, known, name)}") from None
     if one.root == "mesh":
         raise InputError(f"{name}: are held; renderer(scene, vertices=True) frees them")
+    if one.key == TERM:
+        raise InputError(f"{name}: is trained by learn alone")
     if "power" not in one.derivatives:
         raise InputError(f"{name}: images of power have no derivative to it")
     learn: tuple[str, ...] = ()

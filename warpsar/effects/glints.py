@@ -12,7 +12,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpsar.effects.base.effect import Effect
-from warpsar.effects.base.parameter import Setting, amount
+from warpsar.effects.base.parameter import Column, Setting, amount
 from warpsar.effects.base.recorder import Recorder
 from warpsar.effects.base.trial import Context, Trial
 from warpsar.kernels import binning
@@ -21,7 +21,12 @@ from warpsar.kernels.effects import glints as kernels
 from warpsar.world.world import World
 
 ALL_ROUND_DEG = 180.0  # half width from which on a glint returns the same to all sides
-_NUMBERS = 6
+_COLUMNS = (
+    *(Column(name, "m", -1e8, 1e8) for name in ("east_m", "north_m", "up_m")),
+    Column("azimuth_deg", "deg", -360.0, 360.0),
+    Column("half_width_deg", "deg", 1e-6, 360.0),
+    Column("level_dbsm", "dBsm", -300.0, 300.0),
+)
 _MEANING = "a list of [east, north, up, azimuth, half width, level]: metres, degrees above 0 for the width, dBsm"
 
 
@@ -67,9 +72,9 @@ def _points(value: Any) -> bool:
     def row(one: Any) -> bool:
         return (
             isinstance(one, list | tuple)
-            and len(one) == _NUMBERS
-            and all(isinstance(n, int | float) and not isinstance(n, bool) and abs(n) < math.inf for n in one)
-            and one[4] > 0.0
+            and len(one) == len(_COLUMNS)
+            and all(isinstance(n, int | float) and not isinstance(n, bool) for n in one)
+            and all(column.low <= n <= column.high for n, column in zip(one, _COLUMNS, strict=True))
         )
 
     return isinstance(value, list | tuple) and all(map(row, value))
@@ -110,10 +115,11 @@ class Glints(Effect):
                 "items": {
                     "type": "array",
                     "items": {"type": "number"},
-                    "minItems": _NUMBERS,
-                    "maxItems": _NUMBERS,
+                    "minItems": len(_COLUMNS),
+                    "maxItems": len(_COLUMNS),
                 },
             },
+            columns=_COLUMNS,
         ),
     )
 

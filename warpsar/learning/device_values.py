@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import warp as wp
 
+from warpsar.parameters.parameter import Parameter
 from warpsar.surface.stage import Stage
 from warpsar.world.models import TABLE
 
@@ -32,6 +33,14 @@ class DeviceBlock:
     columns: list[list[int]]
     start: np.ndarray
     unit: np.ndarray
+
+    @classmethod
+    def of(cls, parameters: Sequence[Parameter], columns: list[list[int]]) -> DeviceBlock:
+        """Of a material's parameters in the tree, one for each channel, with one prior."""
+        first, channels = parameters[0], [str(one.entry) for one in parameters]
+        assert first.prior_root is not None
+        start = np.stack([one.value for one in parameters])
+        return cls(first.owner, first.key, channels, columns, start, first.prior_root())
 
     def array(self, stage: Stage) -> wp.array:
         """The array that the values stand in."""

@@ -18,15 +18,10 @@ from warpsar.parameters.at import at
 from warpsar.parameters.parameter import Parameter
 from warpsar.scene.scene import Scene
 from warpsar.world.objects.table import KEYS, Object
-from warpsar.world.objects.table import LIMITS as SHARES
 from warpsar.world.tables import Grid, Radar, View
 
 T = TypeVar("T", Object, View, Radar, Grid)
 
-FARTHEST_M = 50.0  # that a fit moves an object
-LARGEST_FACTOR = 4.0  # by which it changes a size
-LARGEST_STRETCH = 1.25  # by which it changes a pixel spacing
-LARGEST_TURN_DEG = 20.0  # by which it turns a view
 NAMES = {
     "position_m": ("east", "north", "up"),
     "scale": ("along", "across", "upward"),
@@ -106,7 +101,9 @@ class Geometry:
     def _add(self, parameter: Parameter, radius: float) -> None:
         values = np.atleast_1d(parameter.value).tolist()
         known = parameter.known or ((0.0, math.inf),) * len(values)
-        for index, (start, about_sd) in enumerate(zip(values, known, strict=True)):
+        ends = np.column_stack([np.atleast_1d(end) for end in parameter.fit_ends]).tolist()
+        factor = parameter.transform.kind == "log"
+        for index, (start, about_sd, own) in enumerate(zip(values, known, ends, strict=True)):
             if parameter.key == "size_m" and start == 0.0:
                 continue  # a plate's thickness
             if about_sd[1] == 0.0:
@@ -114,8 +111,8 @@ class Geometry:
             slope = {"position_m": 1.0, "size_m": 2.0 / max(start, 1e-9)}.get(parameter.key, 1.0 / radius)
             slope = math.degrees(slope) if parameter.unit == "deg" else slope
             which = index if parameter.layout == "vector" else None
-            bounds = _bounds(parameter, start, slope)
-            self.coordinates.append(GeometryCoordinate(parameter, which, start, slope, bounds))
+            low, high = ((math.log(end / start) if factor else end - start) / slope for end in own)
+            self.coordinates.append(GeometryCoordinate(parameter, which, start, slope, (low, high)))
             self.known.append(about_sd)
 
     def shared(self, c: GeometryCoordinate) -> tuple[str, float] | None:
@@ -218,22 +215,3 @@ def _radius(scene: Scene, parameter: Parameter) -> float:
     if parameter.root == "views":
         return float(np.linalg.norm(sides)) / 2.0
     return float(sides[0] if parameter.key == "range_spacing_m" else sides[1]) / 2.0
-
-
-def _bounds(parameter: Parameter, start: float, slope: float) -> tuple[float, float]:
-    """Least and largest coordinate [m]."""
-    word = WORDS.get(parameter.key, "") if parameter.root == "objects" else ""
-    if word in SHARES:
-        low, high = SHARES[word]
-        return (low - start) / slope, (high - start) / slope
-    if parameter.root == "views":
-        least, most = parameter.fit_bounds or (parameter.low, parameter.high)
-        turns = max(least - start, -LARGEST_TURN_DEG), min(most - start, LARGEST_TURN_DEG)
-        return turns[0] / slope, turns[1] / slope
-    if parameter.root == "image":
-        reach = math.log(LARGEST_STRETCH) / slope
-    elif parameter.key in ("size_m", "scale"):
-        reach = math.log(LARGEST_FACTOR) / slope
-    else:
-        reach = FARTHEST_M if parameter.key == "position_m" else 180.0 / slope
-    return -reach, reach

@@ -16,8 +16,8 @@ from warpsar.render.render import ViewRender
 from warpsar.render.rendered import Rendered
 from warpsar.runtime import console
 from warpsar.runtime.deadline import check
-from warpsar.runtime.distributed.processes import Ranks
 from warpsar.runtime.memory import OutOfMemoryError, default_gib, in_parts, kept_bytes, ran_out
+from warpsar.runtime.once import Sharing
 from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import Rays, effects_grid
 from warpsar.surface.stage import Stage
@@ -27,7 +27,7 @@ T = TypeVar("T")
 
 
 def views_held(
-    scene: Scene, chosen: Sequence[View], rays: Rays, ranks: Ranks, max_memory_gib: float | None
+    scene: Scene, chosen: Sequence[View], rays: Rays, sharing: Sharing, max_memory_gib: float | None
 ) -> tuple[list[View], dict[str, int]]:
     """The views of this process, and the number of bands of each view whose hits are not kept.
 
@@ -47,12 +47,12 @@ def views_held(
     def expected(views: Sequence[View]) -> dict[str, int]:
         return {v.name: rays.expected_hits(scene, v, effects[v.name]) for v in views}
 
-    if ranks.size == 1:
+    if sharing.alone:
         mine, hits = list(chosen), most(chosen)
         if sum(size(v, hits[v.name]) for v in mine) > budget:
             hits = expected(mine)
     else:
-        own = chosen[ranks.rank :: ranks.size]
+        own = [chosen[i] for i in sharing.mine([1.0] * len(chosen))]
 
         def counted() -> dict[str, int]:
             bound = most(own)
@@ -61,9 +61,9 @@ def views_held(
                 return {v.name: rays.hits(scene, v, effects[v.name]).count for v in own}
             return expected(own)
 
-        hits = {name: n for part in ranks.gather(ranks.agree(counted)) for name, n in part.items()}
+        hits = {name: n for part in sharing.gather(sharing.agree(counted)) for name, n in part.items()}
         costs = [hits[v.name] * len(v.images) for v in chosen]
-        mine = [chosen[i] for i in ranks.mine(costs)]
+        mine = [chosen[i] for i in sharing.mine(costs)]
         for view in own:
             if view not in mine:
                 rays.forget(view)

@@ -131,7 +131,7 @@ def learn(
     beside = curves_beside(scene, cache, where.alias)
     declared, terms = with_untrained_terms(asked, folder, prepared)
     tables = tables_to_learn(declared, folder, options.loss)
-    blocks = [term.block(name) for name, term in terms.items()] + [table.block(name) for name, table in tables.items()]
+    blocks = [one.block(declared, name) for some in (terms, tables) for name, one in some.items()]
     values = DeviceValues.of(blocks)
     poses = once.agree(lambda: learned_objects(declared, where, options.loss, values))
     scene = declared if poses is None else poses.scene

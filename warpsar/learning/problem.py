@@ -32,9 +32,8 @@ from warpsar.learning.roughness import FieldPrior, Roughness, TotalVariation
 from warpsar.learning.view import FitView, Move, Nodes, ViewJacobian
 from warpsar.render.render import ViewRender
 from warpsar.render.rendered import Rendered
-from warpsar.runtime import threads
+from warpsar.runtime import once, threads
 from warpsar.runtime.devices import load_kernels
-from warpsar.runtime.distributed.processes import ONE, join
 from warpsar.runtime.structs import assign
 from warpsar.scene.scene import Scene
 from warpsar.simulation.rays import Rays
@@ -121,10 +120,10 @@ class FitProblem(SceneCoordinates):
             self.prior = FieldPrior(self.prior.known, self.x0.size, roughness, self.prior.standard)
         refuse_prior(self.prior, loss, scene.name)
         self.device, self.loss = device, loss
-        self._ranks = ranks = join(device) if shared else ONE
+        self._sharing = sharing = once.join(device) if shared else once.ALONE
         rays = rays or Rays(Stage.of(scene, device), seed=scene.sampling.seed)
         self.stage = self.values.on(replace(rays.stage, surface=self.surface))
-        mine, self.bands = views_held(scene, chosen, rays, ranks, max_memory_gib)
+        mine, self.bands = views_held(scene, chosen, rays, sharing, max_memory_gib)
         self.misfit = Misfit(loss, self._mean_square(mine), scene.grid.calibrated, bound)
         # CUDA: all views read and differentiate one array; CPU: a copy each, so that threads never share a gradient
         self.shared_nodes: wp.array | None = (
@@ -141,11 +140,11 @@ class FitProblem(SceneCoordinates):
             self._stages[view.name] = stage
             return with_render(use, scene, stage, rays, view, self.bands.get(view.name), self.shared_nodes)
 
-        self.views: list[FitView] = ranks.agree(lambda: [opened(view) for view in mine])
+        self.views: list[FitView] = sharing.agree(lambda: [opened(view) for view in mine])
         # once for all processes
-        variation = (total_variation or {}) if ranks.first else {}
+        variation = (total_variation or {}) if sharing.first else {}
         self.variation = TotalVariation(self.surface, scene.mesh, variation, device, self.shared_nodes)
-        self.prior_on_device = DevicePrior(self.prior, self, device, counts=ranks.first)
+        self.prior_on_device = DevicePrior(self.prior, self, device, counts=sharing.first)
         self._penalised = validity > 0.0 or self.variation.count > 0
         self._linearised: tuple[bytes, list[np.ndarray], list[np.ndarray]] | None = None
         self._standing_values = b""  # the tables and terms on the device
@@ -157,7 +156,7 @@ class FitProblem(SceneCoordinates):
         if self.loss != "mse":
             return 1.0
         squares = [np.nanmean(self.scene.measured(v, p).astype(float) ** 2) for v in mine for p in v.images]
-        total, count = self._ranks.sum([np.sum(squares), len(squares)])
+        total, count = self._sharing.sum([np.sum(squares), len(squares)])
         return float(total / count)
 
     def _share(self, x: np.ndarray | DeviceX) -> np.ndarray | None:
@@ -248,41 +247,43 @@ class FitProblem(SceneCoordinates):
     @property
     def keeps_hits(self) -> bool:
         """Whether the hits of all views are in memory."""
-        return not self._ranks.largest(sum(not view.render.keeps_hits for view in self.views))
+        return not self._sharing.largest(sum(not view.render.keeps_hits for view in self.views))
 
     @property
     def holds_all(self) -> bool:
         """Whether the views at hand are all of `chosen`, and not a share of them."""
-        return self._ranks.size == 1
+        return self._sharing.alone
 
     def over_views(self, found: ArrayLike) -> np.ndarray:
         """The sum over all views, float64, of what the views at hand gave; any shape."""
-        return self._ranks.sum(found)
+        return self._sharing.sum(found)
 
     def over_views_on_device(self, found: wp.array) -> None:
         """`over_views` of an array on the device, in place and in the device's stream."""
-        self._ranks.sum_on_device(found)
+        self._sharing.sum_on_device(found)
 
     def decided(self, numbers: ArrayLike) -> np.ndarray:
         """The same numbers for all views' fits: hosts of different kinds may round a solution differently, and all
         must go the same way."""
-        return self._ranks.same(numbers)
+        return self._sharing.same(numbers)
 
     def largest(self, value: float) -> float:
         """The largest of what signals or clocks say beside any of the views."""
-        return self._ranks.largest(value)
+        return self._sharing.largest(value)
 
     def of_each(self, about: Callable[[Observation], T]) -> dict[str, T]:
         """What `about` gives (numbers, text, tables of them) for every observation of all views, by "view
         polarization", in order."""
         mine = [(seen.view.name, seen.polarization, about(seen)) for seen in self.observations]
         order = [view.name for view in self.chosen]
-        found = sorted((one for part in self._ranks.gather(mine) for one in part), key=lambda one: order.index(one[0]))
+        found = sorted(
+            (one for part in self._sharing.gather(mine) for one in part), key=lambda one: order.index(one[0])
+        )
         return {f"{view} {polarization}": what for view, polarization, what in found}
 
     def of_all_views(self, found: np.ndarray) -> np.ndarray:
         """What the views at hand gave, shape (n,), with what the others gave: of all views, in no order."""
-        return np.concatenate(self._ranks.gather(found))
+        return np.concatenate(self._sharing.gather(found))
 
     @property
     def observations(self) -> list[Observation]:
@@ -303,7 +304,7 @@ class FitProblem(SceneCoordinates):
     def value(self, modelled: Sequence[np.ndarray]) -> float:
         """The loss, float64, from modelled pixels (without penalties)."""
         pairs = self._pairs(self.terms(modelled))
-        return float(self._ranks.sum(sum(self.misfit.weight(seen) * float(terms.sum()) for seen, terms in pairs)))
+        return float(self._sharing.sum(sum(self.misfit.weight(seen) * float(terms.sum()) for seen, terms in pairs)))
 
     def _pairs(self, values: Sequence[np.ndarray]) -> list[tuple[Observation, np.ndarray]]:
         return list(zip(self.observations, values, strict=True))
@@ -317,7 +318,7 @@ class FitProblem(SceneCoordinates):
         surface = self._surface_gradient(x)
         loss = self.loss_on_device()
         rest = np.concatenate([self.effect_slopes(x), *self._value_slopes()])
-        whole = np.concatenate([surface, self._ranks.sum(rest)]) if x.size > surface.size else surface
+        whole = np.concatenate([surface, self._sharing.sum(rest)]) if x.size > surface.size else surface
         return loss + self.prior.value(x), whole + self.prior.gradient(x)
 
     def _surface_gradient(self, x: np.ndarray) -> np.ndarray:
@@ -325,7 +326,7 @@ class FitProblem(SceneCoordinates):
         if self.shared_nodes is not None:
             self.streams.run([view.render.program.zero_gradients for view in self.views])
             self._add_gradients(self.shared_nodes)
-            self._ranks.sum_on_device(self.shared_nodes.grad)
+            self._sharing.sum_on_device(self.shared_nodes.grad)
             return np.asarray(self.shared_nodes.grad.numpy()[self._learned].astype(float))
         variation = self.variation
         parts = [view.render.nodes.grad for view in self.views]
@@ -336,7 +337,7 @@ class FitProblem(SceneCoordinates):
         surface = parts[0].numpy()[self._learned].astype(float) if parts else np.zeros(self.learned.size)
         for part in parts[1:]:
             surface += part.numpy()[self._learned]
-        return self._ranks.sum(surface)
+        return self._sharing.sum(surface)
 
     def effect_slopes(self, x: np.ndarray) -> np.ndarray:
         """The derivative of this process's loss to the effects' part of x, after a backward run of each view."""
@@ -424,8 +425,8 @@ class FitProblem(SceneCoordinates):
         if self.device.is_cuda:
             total = wp.zeros(1, dtype=wp.float64, device=self.device)
             self.add_losses(total)
-            return float(self._ranks.sum(total.numpy()[0]))
-        return float(self._ranks.sum(sum(float(loss.numpy().sum()) for loss in self._losses())))
+            return float(self._sharing.sum(total.numpy()[0]))
+        return float(self._sharing.sum(sum(float(loss.numpy().sum()) for loss in self._losses())))
 
     def add_losses(self, total: wp.array) -> None:
         """Add the loss of the last run of this process's views, with its penalties but the prior, to `total`.
@@ -445,13 +446,13 @@ class FitProblem(SceneCoordinates):
 
     def penalty(self, x: np.ndarray) -> float:
         """The prior at x, and the validity constraints' part of the last run (uniform materials have no variation)."""
-        outside = float(self._ranks.sum(sum(float(view.outside.numpy().sum()) for view in self.views)))
+        outside = float(self._sharing.sum(sum(float(view.outside.numpy().sum()) for view in self.views)))
         return outside + self.prior.value(x)
 
     @cached_property
     def slopes_tell_all(self) -> bool:
         """Whether `linearised` holds all of the loss's gradient, and costs little more than it."""
-        return not self._ranks.largest(float(self._makers is None or self._penalised))
+        return not self._sharing.largest(float(self._makers is None or self._penalised))
 
     def linearised(self, x: np.ndarray, moving: np.ndarray | None = None) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """`modelled` and `jacobian` at x; columns are 0 where `moving`, shape (p,), is false.

@@ -23,14 +23,11 @@ from warpsar.scene.beside import file_stem
 from warpsar.scene.scene import Scene
 from warpsar.world import sigma0_table
 from warpsar.world.models import TABLE
-from warpsar.world.sigma0_table import LARGEST_DB, Sigma0Table
+from warpsar.world.sigma0_table import LARGEST_DB, ROW_DB, SPREAD_DB, WIDTH_DEG, Sigma0Table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-SPREAD_DB = 3.0  # expected of a value about the table as given
-WIDTH_DEG = 10.0  # over which the differences from it are alike
-ROW_DB = 0.25  # by which a row differs from what is smooth
 DECIMALS = 4  # of a value [dB] in the file
 
 
@@ -82,16 +79,10 @@ class TableToLearn:
     file: Path
     channels: Sequence[str]
 
-    def block(self, material: str) -> DeviceBlock:
-        """The table's values, as a part of x, with what is expected of them.
-
-        The covariance is SPREAD^2 exp(-(difference of incidence / WIDTH)^2 / 2), and ROW^2 of each row alone.
-        """
-        apart = (self.given.incidence_deg[:, None] - self.given.incidence_deg) / WIDTH_DEG
-        covariance = SPREAD_DB**2 * np.exp(-0.5 * apart**2) + ROW_DB**2 * np.eye(len(apart))
-        columns = [self.given.filled(channel) for channel in self.channels]
-        start = np.stack([self.given.sigma0_db[channel] for channel in self.channels])
-        return DeviceBlock(material, TABLE, self.channels, columns, start, np.linalg.cholesky(covariance))
+    def block(self, scene: Scene, material: str) -> DeviceBlock:
+        """The values of a scene's material, as a part of x."""
+        values = [scene.parameters[f"materials.{material}.{TABLE}[{channel}]"] for channel in self.channels]
+        return DeviceBlock.of(values, [self.given.filled(channel) for channel in self.channels])
 
     def learned(self, where: str, values: np.ndarray, sd: np.ndarray, cosines: np.ndarray, **fit: Any) -> LearnedTable:
         """The table with `values` +- `sd`, (channels, rows), where hits of `cosines` see it; `fit` as `LearnedTable`.

@@ -23,7 +23,7 @@ from warpsar.scene.beside import file_stem
 from warpsar.scene.scene import Scene
 from warpsar.surface.surface import KEYS
 from warpsar.world.models import TERM
-from warpsar.world.scattering_term import DB, ScatteringTerm
+from warpsar.world.scattering_term import ScatteringTerm
 
 WIDTH = (0.1, 1.0, 1.0, 1.0)  # of a unit: cos theta, ln kh, ln kl, ln(eps - 1)
 SPREAD_DB = 3.0
@@ -63,13 +63,13 @@ class UntrainedTerm:
     term: ScatteringTerm
     file: Path
 
-    def block(self, material: str) -> DeviceBlock:
-        """The weights, as a part of x."""
-        term, channels = self.term, list(self.term.weights)
-        columns = [[int(p) for p in Polarization if ("HV" if p.crossed else p.name) == c] for c in channels]
-        root = np.linalg.cholesky(term.units(term.places) + (NOISE_DB / SPREAD_DB) ** 2 * np.eye(len(term.places)))
-        unit = np.linalg.inv(root).T * (SPREAD_DB / DB)
-        return DeviceBlock(material, TERM, channels, columns, np.zeros((len(channels), len(unit))), unit)
+    def block(self, scene: Scene, material: str) -> DeviceBlock:
+        """The weights of a scene's material, as a part of x."""
+        weights = {
+            channel: scene.parameters[f"materials.{material}.{TERM}[{channel}]"] for channel in self.term.weights
+        }
+        columns = [[int(p) for p in Polarization if ("HV" if p.crossed else p.name) == c] for c in weights]
+        return DeviceBlock.of(list(weights.values()), columns)
 
     def save(self) -> None:
         """Write the file, which all processes then read."""
@@ -115,7 +115,7 @@ def with_untrained_terms(
         none = {c: np.zeros(len(places)) for c in channels}
         untrained[name] = replace(one, term=replace(one.term, places=places, weights=none, used=used))
         untrained[name].save()
-    return scene, untrained
+    return replace(scene), untrained  # of whose parameters nothing is kept from before the files were written
 
 
 def as_asked(final: Scene, asked: Scene, terms: Collection[str]) -> Scene:

@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from warpsar.effects.registry import get
 from warpsar.errors import InputError
 from warpsar.parameters.parameter import Parameter
 from warpsar.world.pixels import Pixels
@@ -22,7 +23,7 @@ def at(world: W, values: Mapping[Parameter, Any]) -> W:
 
     Bounds are not asked here, because a difference may step over one (`Parameter.checked` asks them, and
     `Scene.with_values`). Raises InputError for a size of 0 that would become another or another that would become 0,
-    and for columns of a table, which stand in a file.
+    and for a column of a material's table, which stands in a file.
     """
     given = {parameter: _plain(parameter, value) for parameter, value in values.items()}
     objects = list(world.objects)
@@ -58,6 +59,11 @@ def _set(changed: dict[str, Any], parameter: Parameter, new: Any) -> None:
         changed["views"][number] = _seen(changed["views"][number], key, new)
     elif parameter.root == "effects":
         table = changed["effects"][owner]
+        if parameter.layout == "table":
+            number = get(owner).setting(key).column(str(parameter.entry))
+            rows = zip(table[key], new, strict=True)
+            table[key] = [[*row[:number], float(one), *row[number + 1 :]] for row, one in rows]
+            return
         table[key] = new if parameter.entry is None else {**table[key], parameter.entry: new}
     elif parameter.root == "materials":
         material = changed["materials"][owner]
@@ -91,7 +97,9 @@ def _seen(view: Any, key: str, new: float) -> Any:
 
 def _covered(material: Any, parameter: Parameter, new: Any) -> Any:
     if parameter.layout == "table":
-        raise InputError(f"{parameter.name}: stands in the file {material.sigma0}; only a fit changes it")
+        raise InputError(
+            f"{parameter.name}: stands in the file {getattr(material, parameter.key)}; only a fit changes it"
+        )
     if parameter.key.startswith("layers."):
         return _layered(material, parameter.key, new)
     stated = getattr(material, parameter.key)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -26,7 +27,7 @@ class Parameter:
     "views.az020.azimuth_deg", "image.range_spacing_m" or "mesh.vertices". "views.azimuth_deg" turns all views by one
     number; its value is 0. A value that an effect has in one view or on
     one material names it, as "effects.aim_point.range_m[north]"; so does a table's column,
-    "materials.soil.sigma0[HH]".
+    "materials.soil.sigma0[HH]", "materials.soil.learned_term[HH]" or "effects.glints.points[level_dbsm]".
     """
 
     root: Root
@@ -43,16 +44,22 @@ class Parameter:
     read: Callable[[], Any] = field(repr=False)
     """Gives the value; it is read when it is asked for."""
     entry: str | None = None
-    """The view, material or polarization, where the key has a value for each."""
+    """The view, material or polarization, where the key has a value for each; or a column of a table."""
     layout: Layout = "number"
     transform: Transform = field(default_factory=Transform)
     """The coordinate that a fit moves."""
     fit_bounds: tuple[float, float] | None = None
     """How far a fit goes, where that is less than what it may be."""
+    reach: float = math.inf
+    """How far a fit goes from the declared value: so many of its unit to either side, or by this factor where its
+    coordinate is a logarithm."""
     freed: bool = False
     """Whether the scene lets a fit change it."""
     known: tuple[tuple[float, float], ...] = ()
     """About which value each of its numbers is known, and to which standard deviation; empty without a tolerance."""
+    prior_root: Callable[[], NDArray[np.float64]] | None = field(default=None, repr=False)
+    """Of a table's column, whose values a fit expects to be alike: a root of their covariance about the declared ones,
+    (n, n)."""
     span: Callable[[], slice] | None = field(default=None, repr=False)
     """Of a field over the mesh's vertices: those of the material's own faces."""
     derivatives: frozenset[Product] = frozenset()
@@ -72,9 +79,17 @@ class Parameter:
     @cached_property
     def value(self) -> NDArray[np.float64]:
         """As the scene declares it. Shape () of a number, (3,) of a vector, (n,) over the mesh's vertices for the
-        layout "vertex", (n, 3) of the vertices themselves, (rows, cols) for "texture", (rows,) of a table's column
-        [dB]. Of eps' - j eps'' it is eps', of (lx, ly) it is lx."""
+        layout "vertex", (n, 3) of the vertices themselves, (rows, cols) for "texture", (rows,) of a table's column.
+        Of eps' - j eps'' it is eps', of (lx, ly) it is lx."""
         return np.array(self.read(), float)
+
+    @property
+    def fit_ends(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Least and largest value of a fit, each of the value's shape: within `fit_bounds`, and the `reach`."""
+        low, high = self.fit_bounds or (-math.inf, math.inf)
+        about, reach = self.value, self.reach
+        ends = (about / reach, about * reach) if self.transform.kind == "log" else (about - reach, about + reach)
+        return np.maximum(ends[0], low), np.minimum(ends[1], high)
 
     @property
     def shape(self) -> tuple[int, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping
@@ -15,11 +16,12 @@ from warpsar.effects.registry import get
 from warpsar.models.base.parameters import EPS_R
 from warpsar.parameters.parameter import Layout, Parameter, Product
 from warpsar.surface.surface import Kind, kinds_of
-from warpsar.world import sigma0_table
-from warpsar.world.models import TABLE
+from warpsar.world import scattering_term, sigma0_table
+from warpsar.world.models import TABLE, TERM
 from warpsar.world.objects.table import CABIN, KEYS, VEHICLES, Object
 from warpsar.world.objects.table import LIMITS as OBJECT_LIMITS
 from warpsar.world.pixels import Pixels
+from warpsar.world.scattering_term import LARGEST_WEIGHT
 from warpsar.world.sigma0_table import LARGEST_DB
 from warpsar.world.tables import LARGEST_OF_LAYER, LOSS, Grid, Material, Radar, View, layer_of
 from warpsar.world.tolerance import known_sd, known_value
@@ -34,6 +36,12 @@ BOTH = POWER | AMPLITUDE
 OBJECT_UNITS = {"position": "m", "size": "m", "heading": "deg", "pitch": "deg", "roll": "deg"}
 OBJECT_ENDS = {"position": (-1e8, 1e8), "scale": (1e-6, 1e6), "size": (0.0, 1e6), **OBJECT_LIMITS}
 TURN = (-360.0, 360.0)
+OBJECT_REACH = {"position": 50.0, "scale": 4.0, "size": 4.0, "heading": 180.0, "pitch": 180.0, "roll": 180.0}
+"""How far a fit moves and turns an object [m, deg], and the factor by which it changes its size."""
+VIEW_REACH = 20.0
+"""How far a fit turns views [deg]."""
+SPACING_REACH = 1.25
+"""Factor by which a fit changes a pixel spacing."""
 STEEPEST = (1.0, 89.0)
 """Least and largest incidence of a fit [deg]."""
 POSE = ("position", "heading", "pitch", "roll")
@@ -121,12 +129,25 @@ def _of_materials(world: World) -> Iterator[Parameter]:
             number, key = layer_of(called)
             yield _of_a_stack(name, material, called, partial(material.layers[number].number, key))
         if material.sigma0 is not None:
-            for polarization, column in sigma0_table.read(material.sigma0).sigma0_db.items():
+            table = sigma0_table.read(material.sigma0)
+            for polarization, column in table.sigma0_db.items():
                 yield Parameter(
                     *("materials", name, TABLE, "dB", -LARGEST_DB, LARGEST_DB, partial(np.asarray, column)),
                     entry=polarization,
                     layout="table",
                     freed=TABLE in material.learn,
+                    prior_root=table.prior_root,
+                    derivatives=POWER,
+                )
+        if material.learned_term is not None:
+            term = scattering_term.read(material.learned_term)
+            for polarization, weights in term.weights.items():
+                yield Parameter(
+                    *("materials", name, TERM, "1", -LARGEST_WEIGHT, LARGEST_WEIGHT, partial(np.asarray, weights)),
+                    entry=polarization,
+                    layout="table",
+                    freed=TERM in material.learn,
+                    prior_root=term.prior_root,
                     derivatives=POWER,
                 )
 
@@ -177,6 +198,12 @@ def _surface(world: World, name: str, material: Material, kind: Kind) -> Paramet
 def _of_effects(world: World) -> Iterator[Parameter]:
     """What the tables of the effects state."""
     for name, table in world.effects.items():
+        for setting in get(name).settings:
+            for number, column in enumerate(setting.columns):
+                rows = table.get(setting.name) or []
+                read = partial(np.array, [row[number] for row in rows])
+                ends = (column.unit, column.low, column.high)
+                yield Parameter("effects", name, setting.name, *ends, read, entry=column.name, layout="table")
         for its in get(name).parameters:
             stated = table.get(its.name)
             if stated is None:
@@ -214,6 +241,8 @@ def _of_objects(world: World) -> Iterator[Parameter]:
                 partial(np.array, values if len(values) > 1 else values[0]),
                 layout="vector" if len(values) > 1 else "number",
                 transform=Transform("log" if word in ("scale", "size") else "linear"),
+                fit_bounds=OBJECT_LIMITS.get(word),
+                reach=OBJECT_REACH.get(word, math.inf),
                 freed=word in one.learn,
                 known=known,
                 derivatives=BOTH if word in POSE else POWER,
@@ -232,13 +261,20 @@ def _of_views(world: World) -> Iterator[Parameter]:
     log = Transform("log")
     for key in ("azimuth_deg", "incidence_deg"):  # of all views by one number, from where they stand
         known = _known(world.radar, key, 0.0)
-        yield Parameter("views", "", key, "deg", -360.0, 360.0, float, freed=key in world.radar.learn, known=known)
+        yield Parameter(
+            *("views", "", key, "deg", *TURN, float),
+            fit_bounds=TURN,
+            reach=VIEW_REACH,
+            freed=key in world.radar.learn,
+            known=known,
+        )
     for view in world.views:
         read = partial(partial, getattr, view)
         for key, low, high, reach in (("azimuth_deg", -360.0, 360.0, TURN), ("incidence_deg", 0.0, 90.0, STEEPEST)):
             yield Parameter(
                 *("views", view.name, key, "deg", low, high, read(key)),
                 fit_bounds=reach,
+                reach=VIEW_REACH,
                 freed=key in view.learn,
                 known=_known(view, key, getattr(view, key)),
             )
@@ -255,6 +291,7 @@ def _of_image(world: World) -> Iterator[Parameter]:
         yield Parameter(
             *("image", "", key, "m", 1e-5, 1e5, partial(getattr, world.grid, key)),
             transform=Transform("log"),
+            reach=SPACING_REACH,
             freed=key in world.grid.learn,
             known=_known(world.grid, key, getattr(world.grid, key)),
         )

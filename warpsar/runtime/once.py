@@ -2,7 +2,8 @@
 
 Who uses this need not know whether there are several. All processes go the same way through the program, and call the
 same functions in the same order. Within a task that is one process's own (`write`, `find`, `share`, `alone`) there is
-that process and no other.
+that process and no other. What is made once for a lifetime, as the views of a fit, keeps the `Sharing` that `join`
+gives, or `ALONE` where each process does all of it.
 """
 
 from __future__ import annotations
@@ -14,9 +15,28 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warpsar.errors import WarpsarError
-from warpsar.runtime.distributed.processes import alone, here, join, restarts
+from warpsar.runtime.distributed.processes import ONE as ALONE
+from warpsar.runtime.distributed.processes import Sharing, alone, here, join, restarts
 
-__all__ = ["agree", "alone", "decide", "find", "join", "processes", "refusal", "restarts", "share", "wait", "write"]
+__all__ = [
+    "ALONE",
+    "Sharing",
+    "agree",
+    "alone",
+    "counter",
+    "decide",
+    "find",
+    "gather",
+    "join",
+    "mine",
+    "number",
+    "processes",
+    "refusal",
+    "restarts",
+    "share",
+    "wait",
+    "write",
+]
 
 T = TypeVar("T")
 
@@ -50,8 +70,28 @@ def agree(task: Callable[[], T]) -> T:
 
 
 def share(tasks: Sequence[Callable[[], T]], **how: Any) -> list[T]:
-    """Results of independent tasks, in their order, for all: each process runs some. `how` as `Ranks.deal_out`."""
+    """Results of independent tasks, in their order, for all: each process runs some. `how` as `Sharing.deal_out`."""
     return here().deal_out(tasks, **how)
+
+
+def mine(costs: Sequence[float]) -> list[int]:
+    """Which of the tasks of these costs are this process's, ascending: each task is one process's."""
+    return here().mine(costs)
+
+
+def gather(value: T) -> list[T]:
+    """The values of all processes, in one order for all; this one's own stays as it is."""
+    return here().gather(value)
+
+
+def counter() -> Callable[[int], int]:
+    """A counter of all processes together, from 0: it adds its argument and returns the count before."""
+    return here().counter()
+
+
+def number() -> int:
+    """Which of the processes this is, from 0: it tells the files apart that each of them writes."""
+    return here().rank
 
 
 def wait() -> None:

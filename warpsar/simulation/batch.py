@@ -18,7 +18,6 @@ from typing import Any
 from warpsar.errors import InputError, WarpsarError
 from warpsar.runtime import console, devices, once
 from warpsar.runtime.background import Background
-from warpsar.runtime.distributed.processes import Ranks, join
 from warpsar.simulation.index import INDEX, Index
 from warpsar.simulation.maker import OUTCOMES, ImageOptions, Maker
 from warpsar.simulation.naming import angles, labels, views_at
@@ -46,9 +45,9 @@ class BatchTally:
         else:
             self.done[outcome] += 1
 
-    def of_all(self, ranks: Ranks) -> BatchTally:
+    def of_all(self) -> BatchTally:
         """The tallies of all processes together."""
-        everything = ranks.gather(self)
+        everything = once.gather(self)
         return BatchTally(
             sum((Counter(one.done) for one in everything), Counter()),
             {name: text for one in everything for name, text in one.failures.items()},
@@ -80,19 +79,19 @@ def run(
     names = labels(scenes)
     out = Path(out)
     where = devices.resolve_device(device)
-    ranks = join(where)
+    once.join(where)
     make_folder(out)
     console.say_device(where)
-    index = Index(out, ranks)
+    index = Index(out)
     options = ImageOptions(seed, layers, variance, not per_ray, max_memory_gib or DEFAULT_MEMORY_GIB)
 
     def maker(scene: int) -> Maker:
         return Maker(scenes[scene], names[scene], made, where, options, index, yes)
 
     counts = [len(made) if made is not None else _views_in(path) for path in scenes]
-    tally = _make(scenes, counts, maker, ranks)
+    tally = _make(scenes, counts, maker)
     index.close()
-    tally = tally.of_all(ranks)
+    tally = tally.of_all()
     content = {
         "images": sum(tally.done.values()),
         **{outcome: tally.done[outcome] for outcome in OUTCOMES},
@@ -100,7 +99,7 @@ def run(
         "scenes": [str(path) for path in scenes],
         "azimuths": azimuths,
         "incidences": incidences,
-        "processes": ranks.size,
+        "processes": once.processes(),
     }
     content = once.write(lambda: write_json(out / "simulate.json", None, where, seed, started, content)) or content
     _report(tally, out)
@@ -116,15 +115,13 @@ def _views_made(azimuths: str | None, incidences: str | None) -> list[View] | No
     return views_at(angles(azimuths, "--azimuths", -360.0, 360.0 + 1e-9), angles(incidences, "--incidences", 0.0, 90.0))
 
 
-def _make(
-    scenes: Sequence[Path], counts: Sequence[int], open_scene: Callable[[int], Maker], ranks: Ranks
-) -> BatchTally:
+def _make(scenes: Sequence[Path], counts: Sequence[int], open_scene: Callable[[int], Maker]) -> BatchTally:
     """Make this process's part of the images; `counts`: how many views each scene has."""
     tally = BatchTally()
     maker: Maker | None = None
     bar = console.progress(sum(counts), "images", "image")
-    dealt = shares(counts, ranks.size)
-    taken, finished = ranks.counter(), ranks.counter()
+    dealt = shares(counts, once.processes())
+    taken, finished = once.counter(), once.counter()
     with Background(AHEAD) as beside:
         while (turn := taken(1)) < len(dealt):
             share = dealt[turn]

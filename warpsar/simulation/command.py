@@ -23,7 +23,6 @@ from warpsar.render.bands import BandedRender, stretches
 from warpsar.render.render import ViewRender
 from warpsar.runtime import console, devices, once
 from warpsar.runtime.busy import busy
-from warpsar.runtime.distributed.processes import Ranks, join
 from warpsar.runtime.memory import PARTS, OutOfMemoryError, in_parts, ran_out
 from warpsar.scene.scene import Scene, scene_or_file
 from warpsar.simulation.checks import Findings, grid_warnings
@@ -260,17 +259,17 @@ def view_render(scene: Scene, stage: Stage, view: View, hits: Hits) -> ViewRende
     return ViewRender(stage, view, hits, scene.grid.shape, scene.radar.polarizations, declared(scene, view))
 
 
-def _written_views(made: Simulation, output: Output, ranks: Ranks) -> tuple[list[dict[str, Any]], list[str]]:
+def _written_views(made: Simulation, output: Output) -> tuple[list[dict[str, Any]], list[str]]:
     """Make this process's share of the views and write them. Returns the entries of all views, and what to warn of."""
     scene = made.scene
     costs = [made.rays(view) for view in scene.views]
-    mine = ranks.mine(costs)
+    mine = once.mine(costs)
     if (forecasted := expected(made, output, mine)) is not None:
         console.say(str(forecasted))
     made.bar = console.progress(sum(costs[index] for index in mine), "rays", "ray")
     summary = [(index, output.write(made.view(scene.views[index], index), index)) for index in mine]
     made.bar.close()
-    everything = ranks.gather((summary, made.findings, shades(output.looks_at)))
+    everything = once.gather((summary, made.findings, shades(output.looks_at)))
     entries = sorted(each for part, _, _ in everything for each in part)
     with busy("drawing quick looks"):
         scale = GreyScale.of_counts(np.sum([counts for _, _, counts in everything], axis=0))
@@ -334,7 +333,7 @@ def run(
     if declare:
         refuse_declaring(scene, out, looks)
     where = devices.resolve_device(device)
-    ranks = join(where)
+    once.join(where)
     make_folder(out)  # refused now rather than after the work
     console.say_device(where)
     with busy("loading the mesh onto the device"):
@@ -360,11 +359,11 @@ def run(
     output = Output(
         out, made.seed, looks, formats, exr_speckle=declare, responses=responses(scene), ground=ground, mesh=scene.mesh
     )
-    entries, found = _written_views(made, output, ranks)
+    entries, found = _written_views(made, output)
     content = {
         "rays_per_m2": made.density,
         "materials": list(scene.mesh.materials),
-        "processes": ranks.size,
+        "processes": once.processes(),
         "warnings": warnings + found,
         "views": entries,
     }

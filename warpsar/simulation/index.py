@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TextIO
 
 from warpsar.io.images import replacing
-from warpsar.runtime.distributed.processes import Ranks
+from warpsar.runtime import once
 
 INDEX, PARTS = "index.csv", "index.parts"
 FIELDS = ("name", "scene", "azimuth_deg", "incidence_deg", "frequency_hz", "file", "sha256", "inputs")
@@ -26,14 +26,12 @@ Row = dict[str, str]
 class Index:
     """The rows of `index.csv` in a batch's folder, by image name, and this process's own part."""
 
-    def __init__(self, out: Path, ranks: Ranks) -> None:
-        self.out, self.ranks = out, ranks
-        if ranks.first:
-            self._tidy()
-        ranks.barrier()
+    def __init__(self, out: Path) -> None:
+        self.out = out
+        once.find(self._tidy)
         self.rows = {row["name"]: row for row in self._read(out / INDEX)}
         self._stream: TextIO | None = None
-        self._part = out / PARTS / f"{ranks.rank}.csv"
+        self._part = out / PARTS / f"{once.number()}.csv"
 
     def add(self, row: Row) -> None:
         """Add a row; it is on disk when this returns."""
@@ -48,12 +46,11 @@ class Index:
             raise
 
     def close(self) -> None:
-        """Merge the rows that the ranks added; every rank calls this."""
+        """Merge the rows that all processes added; each of them calls this."""
         if self._stream is not None:
             self._stream.close()
-        self.ranks.barrier()
-        if self.ranks.first:
-            self._merge()
+        once.wait()
+        once.write(self._merge)
 
     def _tidy(self) -> None:
         """Take in the rows of a killed run, and remove the files that it had not finished."""

@@ -42,13 +42,16 @@ def own_autocovariance(patches: Sequence[Patch]) -> tuple[np.ndarray, float]:
     Structure in the residual looks like correlated speckle of a large variance, and would excuse itself. So pixels
     are taken about the median of their own block, and the median over all blocks counts: what lies in less than half
     of the blocks moves it little. A block's own level lowers all lags alike, and the lags from `FAR` on are taken to
-    be 0. Lags below three times their sampling error, and negative ones, are set to zero. Where no block has pixels
-    enough, the speckle is taken for white, and its variance for 1.
+    be 0. Lags below three times their sampling error, and negative ones, are set to zero. A block that measured no
+    power in half of its pixels has no level, and says nothing. Where no block has pixels enough, the speckle is taken
+    for white, and its variance for 1.
     """
     lags = [(i, j) for i in range(LAGS + 1) for j in range(-LAGS, LAGS + 1) if (i, j) >= (0, 0)]
     means: list[list[np.ndarray]] = [[] for _ in lags]
     for patch in patches:
-        level, inside = _levels(patch), patch.interior.astype(float)
+        level = _levels(patch)
+        inside = (patch.interior & (level > 0.0)).astype(float)
+        level[level <= 0.0] = 1.0
         standing = _standardised(patch.ratio, level, patch.looks)
         for found, (i, j) in zip(means, lags, strict=True):
             both = np.multiply(*_pair(inside, i, j))

@@ -86,11 +86,11 @@ def writers(found: SimulatedProduct, out: Path, file_format: str) -> dict[str, C
         }
     sets = {"image": image_dataset(found), "map": map_dataset(found)}
     if file_format == "netcdf":
-        return {f"{name}.nc": partial(_write_netcdf, out / f"{name}.nc", data) for name, data in sets.items()}
-    return {f"{name}.zarr": partial(_write_zarr, out / f"{name}.zarr", data) for name, data in sets.items()}
+        return {f"{name}.nc": partial(write_netcdf, out / f"{name}.nc", data) for name, data in sets.items()}
+    return {f"{name}.zarr": partial(write_zarr, out / f"{name}.zarr", data) for name, data in sets.items()}
 
 
-def _write_netcdf(path: Path, data: xarray.Dataset) -> None:
+def write_netcdf(path: Path, data: xarray.Dataset) -> None:
     """Axes and attributes by xarray; layers by bands, which xarray cannot write without Dask."""
     with replacing(path) as temporary:
         layers = _layers(data)
@@ -131,7 +131,7 @@ def _units(bands: dict[str, np.ndarray], on_map: bool) -> dict[str, str]:
     return {f"band_{one.name}": f"{one.words} [{one.unit}]" for one in layers}
 
 
-def _write_zarr(path: Path, data: xarray.Dataset) -> None:
+def write_zarr(path: Path, data: xarray.Dataset) -> None:
     """A folder, which takes the place of one that was there when it is whole."""
     temporary = path.with_name(f".{uuid4().hex}{path.suffix}")
     try:

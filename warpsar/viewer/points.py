@@ -39,9 +39,7 @@ def with_points(
         f"{NAME} {name} [dBsm]": np.concatenate([dark, np.repeat(np.maximum(each, dark[0]), len(CORNERS))])
         for name, each in levels_dbsm.items()
     }
-    none = {
-        key: np.concatenate([values, np.full(len(corners), values.min())]) for key, values in surface.parameters.items()
-    }
+    none = {key: np.concatenate([values, np.full(len(corners), np.nan)]) for key, values in surface.parameters.items()}
     return replace(
         surface,
         corners=np.concatenate([surface.corners, corners]).astype(np.float32),

@@ -24,8 +24,9 @@ class Drawn:
 
     `corners` [m] are about the reference point, shape (n, 3), float32; `triangles` index them, shape (m, 3), uint32.
     `material` and `owner` are indices into `materials` and `owners`, shape (n,), and alike on the three corners of a
-    triangle. `parameters` hold surface parameters by key, SI, shape (n,). `levels_db` hold what the triangles send
-    back, by the words that the page shows, shape (n,); all of them share one scale.
+    triangle. `parameters` hold surface parameters by key, SI, shape (n,), NaN where a corner has none.
+    `levels_db` hold what the triangles send back, by the words that the page shows, shape (n,); all of them share one
+    scale.
     """
 
     corners: NDArray[np.float32]

@@ -49,6 +49,11 @@ class ScatteringTerm:
         apart = (np.asarray(at, float)[:, None] - self.places[None]) / self.width
         return np.asarray(np.exp(-0.5 * (apart**2).sum(axis=-1)))
 
+    def prior_root(self) -> NDArray[np.float64]:
+        """A root of the covariance that is expected of a polarization's weights before any image, (n, n)."""
+        known = self.units(self.places) + (self.noise_db / self.spread_db) ** 2 * np.eye(len(self.places))
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(known)).T * (self.spread_db / DB))
+
     def db(self, polarization: str, at: NDArray[np.float64]) -> NDArray[np.float64]:
         """g in decibels at places (m, 4); 0 for a polarization that was not learned."""
         weights = self.weights.get("HV" if polarization == "VH" else polarization)

@@ -21,6 +21,12 @@ LARGEST_DB = 100.0
 ANGLE = "incidence_deg"
 CHANNELS = ("HH", "VV", "HV")
 """Columns of sigma0 [dB]; HV is VH too."""
+SPREAD_DB = 3.0
+"""What a fit expects of a value's difference from the table as given."""
+WIDTH_DEG = 10.0
+"""Incidence over which these differences are alike."""
+ROW_DB = 0.25
+"""By which a row differs from what is smooth."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +50,15 @@ class Sigma0Table:
         """The values of a polarization's column; -300 dB without one."""
         name = self.column(polarization)
         return np.full(self.incidence_deg.size, -300.0) if name is None else self.sigma0_db[name]
+
+    def prior_root(self) -> NDArray[np.float64]:
+        """A root of the covariance that a fit expects of a column's differences from the table as given, (n, n) [dB].
+
+        The covariance is SPREAD^2 exp(-(difference of incidence / WIDTH)^2 / 2), and ROW^2 of each row alone.
+        """
+        apart = (self.incidence_deg[:, None] - self.incidence_deg) / WIDTH_DEG
+        covariance = SPREAD_DB**2 * np.exp(-0.5 * apart**2) + ROW_DB**2 * np.eye(len(apart))
+        return np.asarray(np.linalg.cholesky(covariance), np.float64)
 
     def write(self, path: Path) -> None:
         """Write it as CSV, which `read` gives back to the bit."""

@@ -194,6 +194,10 @@ class Effect:
         what = "is discrete and cannot be learned" if discrete else "is no parameter"
         raise InputError(f"effects.{self.name}.{name}: {what}; allowed are {known}")
 
+    def setting(self, name: str) -> Setting:
+        """The setting `name`."""
+        return next(one for one in self.settings if one.name == name)
+
     def coordinates(self, render: Recorder, p: wp.array, zeta: wp.array, points: wp.array, page: int) -> wp.array:
         """Surface effects: change the learned coordinates `zeta` (vec4, kernels/shade.py) at `points`.
 

@@ -102,11 +102,22 @@ def amount(
 
 
 @dataclass(frozen=True)
+class Column:
+    """One number of each row of a setting that is a table. `low` and `high`: the smallest and largest allowed."""
+
+    name: str
+    unit: str
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
 class Setting:
     """A discrete choice of an effect: never differentiated, never learned.
 
     `accepts` says whether a value may stand in scene.toml. `allowed` says the same in words, and `schema` as the JSON
     schema of a value. `description`, a sentence, says what it means. `per_view`: a table of view name -> value.
+    `columns`: those of a value that is a list of rows, whose numbers are parameters of the scene.
     """
 
     name: str
@@ -117,6 +128,11 @@ class Setting:
     description: str
     schema: Mapping[str, Any] = field(compare=False)
     per_view: bool = False
+    columns: tuple[Column, ...] = ()
+
+    def column(self, name: str) -> int:
+        """The place in a row of the number called so."""
+        return [one.name for one in self.columns].index(name)
 
 
 def one_of(name: str, default: Any, *choices: Any, description: str) -> Setting:

@@ -38,15 +38,20 @@ def _in_order(tasks: Iterable[Callable[[], T]]) -> Iterable[T]:
     return (task() for task in tasks)
 
 
-class Ranks:
+class Sharing:
     """The single process of a run; its methods are also those of `Processes`."""
 
     rank = 0
     size = 1
 
     @property
+    def alone(self) -> bool:
+        """Whether nobody else shares the work."""
+        return self.size == 1
+
+    @property
     def first(self) -> bool:
-        """Whether this rank writes the files of which there is only one."""
+        """Whether this rank does what is done once, and writes the files of which there is only one."""
         return self.rank == 0
 
     def sum(self, array: ArrayLike) -> np.ndarray:
@@ -139,10 +144,10 @@ class Ranks:
         ]
 
 
-ONE = Ranks()
+ONE = Sharing()
 
 
-class Processes(Ranks):
+class Processes(Sharing):
     """One of several processes. All of them call the same methods in the same order."""
 
     def __init__(self, device: wp.Device) -> None:
@@ -260,11 +265,11 @@ class Processes(Ranks):
         return lambda number: int(self._call(self._store.add, name, number)) - number
 
 
-_here: Ranks | None = None
+_here: Sharing | None = None
 _thread = threading.local()
 
 
-def join(device: wp.Device) -> Ranks:
+def join(device: wp.Device) -> Sharing:
     """The processes that this one belongs to, joined at the first call; `device` is the one it works on.
 
     Raises InputError where WORLD_SIZE is there and the rest of torchrun's environment, or torch, is not.
@@ -275,7 +280,7 @@ def join(device: wp.Device) -> Ranks:
     return here()
 
 
-def here() -> Ranks:
+def here() -> Sharing:
     """The processes that were joined; one where none were, and within a task that is one process's own."""
     return ONE if _here is None or getattr(_thread, "alone", False) else _here
 

@@ -27,6 +27,8 @@ void main() {
   gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0);
 }`;
 
+const NONE = -1e30; // to the shader: a corner that has no value, which the page says by NaN
+
 // mode 0: names, 1: a parameter, 2: an image of the view, 3: what the view lights
 const FRAGMENT = `
 uniform int mode;
@@ -60,6 +62,8 @@ void main() {
   vec3 colour;
   if (mode == 0) {
     colour = texture2D(colours, vec2((carried + 0.5) / count, 0.5)).rgb;
+  } else if (mode == 1 && carried < -1e29) {
+    colour = vec3(0.36, 0.42, 0.47);
   } else if (mode == 1) {
     float at = logarithmic ? log(max(carried, 1e-30)) : carried;
     colour = texture2D(colours, vec2(clamp((at - ends.x) / max(ends.y - ends.x, 1e-9), 0.0, 1.0), 0.5)).rgb;
@@ -148,7 +152,7 @@ for (const { label, log, ends: given } of states[0].parameters) {
   let [low, high] = given ?? [Infinity, -Infinity];
   for (const state of states) {
     for (const one of state.parameters.filter((each) => each.label === label)) {
-      for (const value of one.values) [low, high] = [Math.min(low, value), Math.max(high, value)];
+      for (const value of one.values) if (!Number.isNaN(value)) [low, high] = [Math.min(low, value), Math.max(high, value)];
     }
   }
   ends[label] = { low, high, log };
@@ -359,7 +363,7 @@ function show() {
     uniforms.colours.value = colourTables.viridis;
     uniforms.logarithmic.value = log;
     uniforms.ends.value.set(log ? Math.log(Math.max(low, 1e-30)) : low, log ? Math.log(Math.max(high, 1e-30)) : high);
-    value.array.set(parameter.values);
+    value.array.set(parameter.values.map((one) => (Number.isNaN(one) ? NONE : one)));
     barred(quantity, "viridis", [number(low), number(high)], log ? "steps are ratios" : "");
   } else {
     const [d, u, v, s] = view.axes;
@@ -466,7 +470,8 @@ function point() {
   said.push(...state.groups.map((one) => `${one.label} ${one.names[one.index[corner]]}`));
   const quantity = byId("quantity").value;
   const parameter = state.parameters.find((one) => one.label === quantity);
-  if (parameter) said.push(`${quantity} ${number(parameter.values[corner])}`);
+  const own = parameter?.values[corner];
+  if (parameter) said.push(`${quantity} ${Number.isNaN(own) ? "none" : number(own)}`);
   const image = chosenView()?.images[quantity];
   if (image) said.push(imageValue(chosenView(), image, hit.point));
   byId("pointed").textContent = said.join(" · ");
