@@ -157,7 +157,8 @@ def run(cases: tuple[Path, ...], out: Path, device: str) -> None:
     if len(cases) > 1:
         for case in cases:
             words = [sys.executable, __file__, "run", str(case), "-o", str(out), "--device", device]
-            subprocess.run(words, check=True)
+            # the command leaves BLAS one thread, before anything loads NumPy
+            subprocess.run(words, check=True, env={"OPENBLAS_NUM_THREADS": "1"} | os.environ)
         return
     result = one_case(cases[0], out, device)
     tables.save(out / f"{cases[0].name}.{device.partition(':')[0]}.json", result)
