@@ -105,7 +105,7 @@ def test_an_absorber_on_metal_tells_its_values(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_an_absorber_on_metal_tells_its_losses(tmp_path: Path) -> None:
-    """A thin one tells the loss of mu_r x thickness better than either factor: its interval is less than half as wide."""
+    """A thin one tells the loss of mu_r x thickness better than its factors: the interval is less than half as wide."""
     tables = curves_of(tmp_path, [(8.0, 2.0 - 1.5j, 6e-4)], True, [6e9, 10e9, 14e9], 1e-2)
     stack = "conductor = true\nlayers = [{eps_r = 8.0, mu_r = [2.0, -1.2], thickness_m = 7e-4}]"
     found = learned(tmp_path, tables, stack, '["layers.0.mu_r", "layers.0.mu_r_loss", "layers.0.thickness_m"]')
