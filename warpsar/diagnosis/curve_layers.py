@@ -16,7 +16,7 @@ from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import Bounds, minimize
+from scipy.optimize import minimize
 
 from warpsar.curves.materials import MODEL, Kind, MaterialHypothesis
 from warpsar.curves.noise import Noise, densities, fit_each
@@ -137,7 +137,7 @@ class Probed:
         bare = reflections(None, frequency_hz).ravel()
         if frequency_hz not in self._solving:
             apart = np.stack([reflections(one, frequency_hz).ravel() - bare for one in self._layers[1:]], axis=1)
-            self._solving[frequency_hz] = np.linalg.pinv(apart, rcond=1e-4)
+            self._solving[frequency_hz] = np.asarray(np.linalg.pinv(apart, rcond=1e-4), np.complex128)
         return self._solving[frequency_hz] @ (reflections(layer, frequency_hz).ravel() - bare)
 
 
@@ -200,9 +200,14 @@ def _least(
     u: NDArray[np.float64],
     ends: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    options = {"ftol": 1e-5, "maxiter": _STEPS}
-    bounds = Bounds(*ends.T)
-    found = minimize(loss, np.clip(u, *ends.T), jac=True, method="L-BFGS-B", bounds=bounds, options=options)
+    found = minimize(
+        loss,
+        np.clip(u, *ends.T),
+        jac=True,
+        method="L-BFGS-B",
+        bounds=ends.tolist(),
+        options={"ftol": 1e-5, "maxiter": _STEPS},
+    )
     return np.asarray(found.x)
 
 
@@ -219,7 +224,6 @@ def _profile(loss: _Loss, best: NDArray[np.float64], powers: NDArray[np.float64]
         inner, fall, step, u = centre, 0.0, _FIRST, best
         for _ in range(_WALK):
             t = float(np.clip(inner + sign * step, *reach))
-
             held = np.eye(len(best))[pivot] * t / powers[pivot]
 
             def loss_of_free(
