@@ -10,6 +10,7 @@ from comparisons import comparison
 from learning_scenes import cube_scene, measured
 from worlds import view
 
+from warpsar.diagnosis import result
 from warpsar.diagnosis.found import DiagnoseOptions, Diagnosis
 from warpsar.diagnosis.models.judge import Judge
 from warpsar.diagnosis.models.refit import fit_model
@@ -62,6 +63,18 @@ def test_nothing_is_withdrawn_where_nothing_hurts(floored: Diagnosis) -> None:
     done = judged(floored)
     assert done.diagnosis.withdrawn == []
     assert (done.verdict, done.unexplained) == (["noise_floor"], False)
+
+
+@pytest.mark.full
+def test_a_name_that_is_not_earned_leaves_something_unexplained(
+    floored: Diagnosis, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where every test of the whole images is quiet, too: without the name this would be an all-clear."""
+    monkeypatch.setattr(result, "not_established", lambda *_: {"noise_floor": "it may be another thing"})
+    done = judged(floored)
+    assert done.verdict == []
+    assert done.reasons == ["noise_floor: it may be another thing"]
+    assert done.unexplained
 
 
 def test_numbers_of_single_views_are_fitted_to_test_views(tmp_path: Path) -> None:

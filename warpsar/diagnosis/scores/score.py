@@ -77,9 +77,9 @@ class TangentProjection:
         """
         if self._under is not evidence:  # the same for all effects
             self._under, self._seen = evidence, evidence.correlated(self.basis)
-        seen = self._seen
+            self._half = self.basis.T @ self._seen / 2.0
         inside = self._inside(columns)
-        across = np.asarray(columns.T @ seen).T - (self.basis.T @ seen / 2.0) @ inside
+        across = np.asarray(columns.T @ self._seen).T - self._half @ inside
         crossed = np.einsum("bti,btj->tij", *(m.reshape(len(m), inside.shape[1] // k, k) for m in (inside, across)))
         below = self.left_under(columns).reshape(len(self._below), inside.shape[1] // k, k)
         known = np.einsum("bti,btj->tij", below, below)
