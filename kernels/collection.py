@@ -88,6 +88,14 @@ def keep_without_phase(
     amplitude_out[i, 3] = unphased(four.vv, turn)
 
 
+@wp.func
+def keep_in_float(amplitude_out: wp.array2d[wp.vec2], i: int, four: Four):
+    amplitude_out[i, 0] = in_float(four.hh)
+    amplitude_out[i, 1] = in_float(four.hv)
+    amplitude_out[i, 2] = in_float(four.vh)
+    amplitude_out[i, 3] = in_float(four.vv)
+
+
 @wp.kernel(enable_backward=False)
 def rough_places_kernel(
     # In:
@@ -109,10 +117,7 @@ def rough_places_kernel(
     sight = look(radar, place.point, 0.0)
     spread = wp.vec2d(sight.spread * sight.spread, wp.float64(0.0))
     four = scattered_toward(sight.s, spread, radar, k, surface_in[place.material], variant, place)
-    amplitude_out[i, 0] = in_float(four.hh)
-    amplitude_out[i, 1] = in_float(four.hv)
-    amplitude_out[i, 2] = in_float(four.vh)
-    amplitude_out[i, 3] = in_float(four.vv)
+    keep_in_float(amplitude_out, i, four)
 
 
 @wp.kernel(enable_backward=False)
@@ -132,10 +137,7 @@ def rough_places_apart_kernel(
         return
     place = scatterer_in[i]
     four = scattered_between(radar_in[0], radar_in[1], k, surface_in[place.material], place)
-    amplitude_out[i, 0] = in_float(four.hh)
-    amplitude_out[i, 1] = in_float(four.hv)
-    amplitude_out[i, 2] = in_float(four.vh)
-    amplitude_out[i, 3] = in_float(four.vv)
+    keep_in_float(amplitude_out, i, four)
 
 
 @wp.kernel(enable_backward=False)

@@ -70,8 +70,7 @@ def scatter_kernel(
     With `polarization` it is for that one, whatever it is given: HV of I2EM takes so many registers that a kernel for
     all would be three times slower on a GPU. Without `some` it is for all hits, and `mine` is not read.
     """
-    value_of = sigma0_of(model)
-    both_of = functions_of(model).sigma0_and_slopes_of
+    function = functions_of(model).sigma0_and_slopes_of if slopes else sigma0_of(model)
     channel = -1 if polarization is None else int(polarization)
     bounds = getattr(functions_of(model), "LAUNCH_BOUNDS", None) if slopes else None
     places = places_of(model)
@@ -104,19 +103,19 @@ def scatter_kernel(
             own = zeta[i]
         else:
             own = read_vec4(zeta, i)
+        found = function(
+            code,
+            read_int(hits.spectrum, material),
+            hits.variant,
+            hits.wavenumber,
+            read_float(hits.cos_incidence, i),
+            twist,
+            read_float(hits.cos2_azimuth, i),
+            read_float(hits.eps_im, material),
+            read_float(hits.aspect, material),
+            own,
+        )
         if wp.static(slopes):
-            found = both_of(
-                code,
-                read_int(hits.spectrum, material),
-                hits.variant,
-                hits.wavenumber,
-                read_float(hits.cos_incidence, i),
-                twist,
-                read_float(hits.cos2_azimuth, i),
-                read_float(hits.eps_im, material),
-                read_float(hits.aspect, material),
-                own,
-            )
             sigma_out[i] = found[0]
             if wp.static(several):
                 for k in range(wp.static(places)):
@@ -125,18 +124,7 @@ def scatter_kernel(
             else:
                 write_vec4(slopes_out, i, wp.vec4(found[1], found[2], found[3], found[4]))
         else:
-            sigma_out[i] = value_of(
-                code,
-                read_int(hits.spectrum, material),
-                hits.variant,
-                hits.wavenumber,
-                read_float(hits.cos_incidence, i),
-                twist,
-                read_float(hits.cos2_azimuth, i),
-                read_float(hits.eps_im, material),
-                read_float(hits.aspect, material),
-                own,
-            )
+            sigma_out[i] = found
 
     return scatter_kernel
 

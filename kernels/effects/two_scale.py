@@ -42,6 +42,7 @@ def tilt_kernel(slopes: bool) -> wp.Kernel:
 
     With `slopes` also the derivatives to the learned coordinates, and no adjoint of its own.
     """
+    function = sigma0_and_slopes_of if slopes else sigma0_of
 
     @wp.kernel(enable_backward=not slopes, module="unique")
     def tilt_kernel(
@@ -82,34 +83,23 @@ def tilt_kernel(slopes: bool) -> wp.Kernel:
                 twist = float(1.0)
                 if hits.local_basis == 0:
                     twist = cos_twist_of(tilted, direction, look.u)
+                found = function(
+                    hits.polarization,
+                    kind,
+                    hits.variant,
+                    hits.wavenumber,
+                    wp.min(cosine, 1.0),
+                    twist,
+                    cos2_azimuth_of(tilted, direction),
+                    loss,
+                    ratio,
+                    z,
+                )
                 if wp.static(slopes):
-                    found = sigma0_and_slopes_of(
-                        hits.polarization,
-                        kind,
-                        hits.variant,
-                        hits.wavenumber,
-                        wp.min(cosine, 1.0),
-                        twist,
-                        cos2_azimuth_of(tilted, direction),
-                        loss,
-                        ratio,
-                        z,
-                    )
                     mean += tilts[q][2] * found[0]
                     by_zeta += tilts[q][2] * wp.vec4(found[1], found[2], found[3], found[4])
                 else:
-                    mean += tilts[q][2] * sigma0_of(
-                        hits.polarization,
-                        kind,
-                        hits.variant,
-                        hits.wavenumber,
-                        wp.min(cosine, 1.0),
-                        twist,
-                        cos2_azimuth_of(tilted, direction),
-                        loss,
-                        ratio,
-                        z,
-                    )
+                    mean += tilts[q][2] * found
         sigma_out[i] = sigma[i] + (mean - plain[i])
         if wp.static(slopes):
             slopes_out[i] = by_zeta

@@ -97,13 +97,11 @@ def leave_one_view_out(
     found = setup.share([partial(judged, name) for name in touched])
     seen = [one for name in touched for one in setup.observations[name]]
     gains = [gain for view in found for gain in view]
-    all_of_them = summed(setup, seen, gains, len(names), quiet)
+    all_of_them = summed(seen, gains, len(names), quiet)
     return replace(all_of_them, uneven=_over_columns(setup, base, fitted, effect)) if per_view else all_of_them
 
 
-def summed(
-    setup: FitSetup, seen: Sequence[Observation], gains: Sequence[np.ndarray], views: int, quiet: bool
-) -> ViewsLeftOut:
+def summed(seen: Sequence[Observation], gains: Sequence[np.ndarray], views: int, quiet: bool) -> ViewsLeftOut:
     """The sum of what every pixel gains, with its error. `gains`, shape (2, n) for each observation: measured, and as
     it would be on average were the model true."""
     gains = [clipped(one) for one in gains]

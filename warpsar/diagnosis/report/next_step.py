@@ -57,7 +57,7 @@ def _where_to_look(done: Diagnosed) -> str:
     """Where to look for what nothing found explains."""
     left, findings = done.left, done.findings
     if findings and not findings & {"structure", "edges"}:
-        return _of_even_ground(done, findings)
+        return _of_even_ground(findings)
     if refuted(done):
         return "Compare the residuals of the test views below: the model holds on the train views and not on them."
     if findings == {"edges"}:
@@ -79,7 +79,7 @@ def _where_to_look(done: Diagnosed) -> str:
     }[left.moves.way]
 
 
-def _of_even_ground(done: Diagnosed, findings: Set[Finding]) -> str:
+def _of_even_ground(findings: Set[Finding]) -> str:
     """No place stands out: the scatter of even ground is of another kind, or its level."""
     if findings & {"looks", "texture", "distribution"}:
         return (

@@ -50,7 +50,7 @@ def write_report(
         *_phase_section(phases),
         *_objects_section(done, content),
         residuals_section(done),
-        *(turn_section(turn, number, done, content) for number, turn in enumerate(diagnosis.turns)),
+        *(turn_section(turn, number, content) for number, turn in enumerate(diagnosis.turns)),
         *law_section(done),
         parameters_section(done, moves, content),
         _not_tested(diagnosis.turns[-1]),

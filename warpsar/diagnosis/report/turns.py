@@ -9,7 +9,6 @@ import numpy as np
 
 from warpsar.diagnosis.found import Candidate, Turn
 from warpsar.diagnosis.geometry.registry import is_geometry
-from warpsar.diagnosis.result import Diagnosed
 from warpsar.diagnosis.search.outcome import by_score, gain_text, outcome, passed, score_text
 from warpsar.evaluation.report_parts import plus_minus
 from warpsar.io import html as report
@@ -17,7 +16,7 @@ from warpsar.io import html as report
 MOST_RESEMBLING = 4
 
 
-def turn_section(turn: Turn, number: int, done: Diagnosed, content: dict[str, Any]) -> str:
+def turn_section(turn: Turn, number: int, content: dict[str, Any]) -> str:
     effects = turn.base.scene.effects
     about = f"with {', '.join(effects)}" if effects else "as declared"
     tested = [c for c in turn.candidates if c.testability == "testable" and not is_geometry(c.effect)]

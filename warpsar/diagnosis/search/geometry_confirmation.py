@@ -88,7 +88,7 @@ def views_left_out(
         for (one, before), (_, after) in images:
             seen.append(one)
             gains.append(_gain(one, before, after))
-    return summed(setup, seen, gains, len(names), quiet)
+    return summed(seen, gains, len(names), quiet)
 
 
 def _gain(seen: Observation, before: np.ndarray, after: np.ndarray) -> np.ndarray:
