@@ -435,6 +435,22 @@ def test_what_the_dark_pixels_need_stays_whatever_it_gains(
     assert asked["blurred", True].refused.startswith("its own test speaks against it")
 
 
+def test_copies_on_a_part_of_the_dark_stay_whatever_they_gain_in_the_light(
+    blurred: tuple[FitSetup, Scene], tmp_path: Path
+) -> None:
+    """Copies of a ground that ends: less than half of the dark measures power, and all of that is theirs. Where the
+    dark is dark, copies pay in the light or go."""
+    setup, scene = ghostly = bench_of({"azimuth_ambiguity": GHOST}, tmp_path)
+    declared = Dark.of(fitted_to(setup, scene, {}))
+    assert setup.has_dark
+    assert not declared.everywhere
+    asked = []
+    for setup, scene in (ghostly, blurred):
+        fitted = fitted_to(setup, scene, {"azimuth_ambiguity": GHOST})
+        asked += confirm(setup, fitted, ["azimuth_ambiguity"], never, price=1e12).asked
+    assert [one.refused for one in asked] == ["", TOO_LITTLE]
+
+
 # Where single pixels cannot decide
 
 

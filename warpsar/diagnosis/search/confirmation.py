@@ -10,11 +10,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from warpsar.diagnosis.dark.evidence import Dark
 from warpsar.diagnosis.found import Confirmed
 from warpsar.diagnosis.geometry.registry import is_geometry
 from warpsar.diagnosis.models.all_pixels import lit_shadows
 from warpsar.diagnosis.models.carried import Carried, carried_over
-from warpsar.diagnosis.models.fit_setup import FitSetup
+from warpsar.diagnosis.models.fit_setup import DARK_PIXELS, FitSetup
 from warpsar.diagnosis.models.left_out import ViewsLeftOut, leave_one_view_out
 from warpsar.diagnosis.models.refit import Fitted, refit_without
 from warpsar.diagnosis.search.geometry_confirmation import asked_of, taken_back, views_left_out
@@ -49,7 +50,7 @@ def confirm(
 
     A parameter costs `price` of 2 ln L. `needed` says of a model without an effect whether the dark pixels ask it for
     that effect: such an effect stays, whatever it gains in the light, unless its own test speaks against it. So does
-    one that adds power without which shadows have too little, and with which none has. `quiet`:
+    one that adds power without which shadows have too little, and with which they have not (`_fills_shadows`). `quiet`:
     whether the scan finds nothing beside them. Where a change of geometry is taken back, other pixels are lit, and
     nothing more is asked on these. `declared`: the scene that geometry is compared with; by default the model's own.
     """
@@ -60,7 +61,9 @@ def confirm(
         without = {name: _without(setup, fitted, scene, name) for name in left}
         additive = [name for name in left if not is_geometry(name) and get(name).additive]
         dark = {
-            name for name in additive if needed(without[name], name) or _fills_shadows(setup, fitted, without[name])
+            name
+            for name in additive
+            if needed(without[name], name) or _fills_shadows(setup, fitted, without[name], name)
         }
         asked = {
             name: asked_of(setup, fitted, without[name], scene, name)
@@ -98,11 +101,16 @@ def _without(setup: FitSetup, fitted: Fitted, declared: Scene, name: str) -> Fit
     return refit_without(setup, fitted, name)
 
 
-def _fills_shadows(setup: FitSetup, fitted: Fitted, without: Fitted) -> bool:
-    """Whether shadows measure power that only the model with the effect has, where there are no dark pixels to ask."""
-    return not setup.has_dark and bool(
-        once.decide(float(lit_shadows(without, far=True) and not lit_shadows(fitted, far=True)))
-    )
+def _fills_shadows(setup: FitSetup, fitted: Fitted, without: Fitted, name: str) -> bool:
+    """Whether shadows measure power that only the model with the effect has: most of what dark pixels measure where
+    nothing is modelled, or, where there are no dark pixels to ask, all that a shadow measures. Ghosts fall on a part
+    of the dark."""
+    if not setup.has_dark:
+        return bool(once.decide(float(lit_shadows(without, far=True) and not lit_shadows(fitted, far=True))))
+    if get(name).is_floor:  # which lies under all of them
+        return False
+    left, before = (Dark.of(model).unexplained for model in (fitted, without))
+    return bool(once.decide(float(before >= DARK_PIXELS and left < 0.5 * before)))
 
 
 def _gained(fitted: Fitted, without: Fitted, name: str) -> Confirmed:
