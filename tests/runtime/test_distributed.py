@@ -28,7 +28,7 @@ from warpsar.effects import registry as effects
 from warpsar.errors import InputError
 from warpsar.io import checkpoint
 from warpsar.io.images import read_image
-from warpsar.runtime.distributed.processes import ONE, deal, join
+from warpsar.runtime.distributed.processes import ALONE, deal, join
 from warpsar.scene.scene import Scene
 from warpsar.scene.unwrap import write_obj
 from warpsar.surface.surface import KINDS
@@ -480,12 +480,12 @@ class NoTorch:
 
 sys.meta_path.insert(0, NoTorch())
 import warpsar.diagnosis.command, warpsar.evaluation.command, warpsar.learning.command, warpsar.simulation.batch
-from warpsar.runtime.distributed.processes import ONE, join
-assert join(None) is ONE
+from warpsar.runtime.distributed.processes import ALONE, join
+assert join(None) is ALONE
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    assert ONE.size == 1
+    assert ALONE.size == 1
 
 
 @pytest.mark.parametrize(

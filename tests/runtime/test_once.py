@@ -14,7 +14,7 @@ from warpsar.errors import InputError
 from warpsar.learning.optimise import FitState
 from warpsar.runtime import once
 from warpsar.runtime.distributed import processes
-from warpsar.runtime.distributed.processes import ONE, Sharing
+from warpsar.runtime.distributed.processes import ALONE, Sharing
 from warpsar.runtime.distributed.travel import packed, unpacked
 from warpsar.speckle.scan import Spot
 
@@ -123,4 +123,4 @@ def test_a_task_of_one_process_sees_no_other() -> None:
     with pytest.raises(InputError):
         once.alone(refused)
     assert once.processes() == 2
-    assert ONE.deal_out([once.processes, once.processes]) == [1, 1]
+    assert ALONE.deal_out([once.processes, once.processes]) == [1, 1]

@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warpsar.errors import WarpsarError
-from warpsar.runtime.distributed.processes import ONE as ALONE
-from warpsar.runtime.distributed.processes import Sharing, alone, here, join, restarts
+from warpsar.runtime.distributed.processes import ALONE, Sharing, alone, here, join, restarts
 
 __all__ = [
     "ALONE",

@@ -144,7 +144,7 @@ class Sharing:
         ]
 
 
-ONE = Sharing()
+ALONE = Sharing()
 
 
 class Processes(Sharing):
@@ -276,13 +276,13 @@ def join(device: wp.Device) -> Sharing:
     """
     global _here
     if _here is None:
-        _here = Processes(device) if _asked_for() else ONE
+        _here = Processes(device) if _asked_for() else ALONE
     return here()
 
 
 def here() -> Sharing:
     """The processes that were joined; one where none were, and within a task that is one process's own."""
-    return ONE if _here is None or getattr(_thread, "alone", False) else _here
+    return ALONE if _here is None or getattr(_thread, "alone", False) else _here
 
 
 def alone(task: Callable[[], T]) -> T:
