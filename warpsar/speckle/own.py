@@ -41,10 +41,11 @@ def own_autocovariance(patches: Sequence[Patch]) -> tuple[np.ndarray, float]:
 
     Structure in the residual looks like correlated speckle of a large variance, and would excuse itself. So pixels
     are taken about the median of their own block, and the median over all blocks counts: what lies in less than half
-    of the blocks moves it little. A block's own level lowers all lags alike, and the lags from `FAR` on are taken to
-    be 0. Lags below three times their sampling error, and negative ones, are set to zero. A block that measured no
-    power in half of its pixels has no level, and says nothing. Where no block has pixels enough, the speckle is taken
-    for white, and its variance for 1.
+    of the blocks moves it little. A gain with a ripple lies in all of them, and makes pixels of a line alike however
+    far apart they are. So speckle has the part of each lag that those from `FAR` on do not foretell by its rows and its
+    columns (`_of_lines`); a block's own level, which lowers all lags alike, goes with it. Lags below three times their
+    sampling error, and negative ones, are set to zero. A block that measured no power in half of its pixels has no
+    level, and says nothing. Where no block has pixels enough, the speckle is taken for white, and its variance for 1.
     """
     lags = [(i, j) for i in range(LAGS + 1) for j in range(-LAGS, LAGS + 1) if (i, j) >= (0, 0)]
     means: list[list[np.ndarray]] = [[] for _ in lags]
@@ -62,18 +63,29 @@ def own_autocovariance(patches: Sequence[Patch]) -> tuple[np.ndarray, float]:
             enough = count >= FULL * BLOCK**2
             found.append(_blocks(product)[enough] / count[enough])
     medians = np.array([np.median(blocks) if (blocks := np.concatenate(m)).size else 0.0 for m in means])
-    medians -= np.median(medians[np.hypot(*np.transpose(lags)) >= FAR])
+    without_lines = np.eye(len(lags)) - _of_lines(lags)
+    medians = without_lines @ medians
     correlation = np.zeros((2 * LAGS + 1, 2 * LAGS + 1))
     correlation[LAGS, LAGS] = 1.0
     variance = float(medians[lags.index((0, 0))])
     if variance <= 0:
         return correlation, 1.0
     pixels = sum(int(patch.interior.sum()) for patch in patches)
-    noise = 3.0 * 1.25 / np.sqrt(pixels)  # a median of normal values scatters by 1.25 of what a mean does
-    for (i, j), median in zip(lags, medians, strict=True):
-        if median > noise * variance:
+    # a median of normal values scatters by 1.25 of what a mean does
+    noise = 3.0 * 1.25 * np.sqrt((without_lines**2).sum(axis=1) / pixels)
+    for (i, j), median, least in zip(lags, medians, noise, strict=True):
+        if median > least * variance:
             correlation[LAGS + i, LAGS + j] = correlation[LAGS - i, LAGS - j] = min(median / variance, 1.0)
     return correlation * TAPER, variance
+
+
+def _of_lines(lags: Sequence[tuple[int, int]]) -> np.ndarray:
+    """What lines share at each lag, as weights of all lags, shape (lags, lags): a number for the rows and one for the
+    columns that pixels are apart, their sum fitted to the lags from `FAR` on, where speckle shares nothing."""
+    apart = np.abs(lags)
+    design = np.concatenate([np.eye(LAGS + 1)[apart[:, axis]] for axis in (0, 1)], axis=1)
+    far = np.hypot(*apart.T) >= FAR
+    return np.asarray(design @ np.linalg.pinv(design * far[:, None]))
 
 
 def _levels(patch: Patch) -> np.ndarray:
