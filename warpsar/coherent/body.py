@@ -168,6 +168,11 @@ class CoherentBody:
         return any(m.stack and not m.conductor for m in self.materials)
 
     @property
+    def has_coats(self) -> bool:
+        """Whether there is a conductor with layers."""
+        return any(m.stack and m.conductor for m in self.materials)
+
+    @property
     def has_solids(self) -> bool:
         """Whether there is a solid dielectric, which is neither a conductor nor a layer."""
         return any(m.solid for m in self.materials)
@@ -227,14 +232,16 @@ class CoherentBody:
         for name in ("first", "second", "normal_first", "normal_second", "outer", "share"):
             packed[name] = getattr(wedges, name)[which]
         packed["reach_first"], packed["reach_second"] = wedges.reach(which, packed["middle"]).T
+        packed["material_first"], packed["material_second"] = wedges.material[which].T
         return upload(packed, edges.Edge, self.device)
 
     def plate_rims(self, longest_m: float, thin_m: float) -> tuple[wp.array, wp.array]:
-        """Which of `edge_pieces` are rims of plates thinner than `thin_m`, as edges of sheets; and what is opposite."""
+        """Which of `edge_pieces` are rims of bare plates thinner than `thin_m`, as edges of sheets; and what is opposite."""
         which, step, cuts = self.cuts(longest_m)
+        bare = np.array([m.bare for m in self.materials])[self.shape.wedges.material].all(axis=1)
         along = (self.shape.wedges.end - self.shape.wedges.start)[which] / cuts[:, None]
         middle = self.shape.wedges.start[which] + (step + 0.5)[:, None] * along
-        packed, opposite = rims(self.shape, which, middle, along, thin_m)
+        packed, opposite = rims(self.shape, which, bare, middle, along, thin_m)
         return upload(packed, edges.Edge, self.device), upload(opposite, edge_waves.Opposite, self.device)
 
 
