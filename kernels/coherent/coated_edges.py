@@ -40,15 +40,15 @@ NODES = wp.constant(40)
 """Of the integral (midpoint rule, which converges exponentially): right to 1e-5."""
 STEP = wp.constant(wp.float64(0.15))
 LEAST = wp.constant(wp.float64(1.0e-6))
-"""Impedance of a conductor: a spectrum for E along the edge has 1 / Z."""
+"""Impedance of a conductor for E along the edge, whose spectrum has 1 / Z."""
 
 
 @wp.struct
-class Impedances:
-    """Of a face over that of space, for a field E along an edge, and across it (H along it)."""
+class Surface:
+    """What a face makes of fields along an edge, over what space does: E / H for H along it, H / E for E along it."""
 
-    along: wp.vec2d
-    across: wp.vec2d
+    impedance: wp.vec2d
+    admittance: wp.vec2d
 
 
 @wp.struct
@@ -67,28 +67,29 @@ def real(x: wp.float64) -> wp.vec2d:
 
 
 @wp.func
-def impedances(face: Face, k: wp.float64, s: wp.vec3d, x: wp.vec3d, n: wp.vec3d) -> Impedances:
-    """Of a stack of layers under a wave from s; x across the edge. In the plane of incidence it is that of TM."""
-    found = Impedances()
-    if face.layer == 0:
-        return found
-    load = load_of(face, k, wp.min(wp.abs(wp.dot(s, n)), wp.float64(1.0)))
-    te = quotient(load.te_e, load.te_h)
-    tm = quotient(load.tm_e, load.tm_h)
-    sx = wp.dot(s, x)
-    sz = wp.dot(s, wp.cross(x, n))
-    share = sx * sx / wp.max(sx * sx + sz * sz, wp.float64(1.0e-12))
-    found.across = te + share * (tm - te)
-    found.along = tm + share * (te - tm)
-    return found
+def inverse(z: wp.vec2d) -> wp.vec2d:
+    """1 / z; 1 / LEAST of less than that."""
+    if wp.dot(z, z) < LEAST * LEAST:
+        return real(wp.float64(1.0) / LEAST)
+    return wp.vec2d(z[0], -z[1]) / wp.dot(z, z)
 
 
 @wp.func
-def sine_of_e(sine: wp.float64, z: wp.vec2d) -> wp.vec2d:
-    """sin theta for E along the edge: 1 / Z, scaled."""
-    if wp.dot(z, z) < LEAST * LEAST:
-        z = real(LEAST)
-    return quotient(real(sine), z)
+def surface_of(face: Face, k: wp.float64, s: wp.vec3d, x: wp.vec3d, n: wp.vec3d) -> Surface:
+    """Of a stack of layers under a wave from s; x across the edge. In the plane of incidence it is that of TM."""
+    te = wp.vec2d()
+    tm = wp.vec2d()
+    if face.layer != 0:
+        load = load_of(face, k, wp.min(wp.abs(wp.dot(s, n)), wp.float64(1.0)))
+        te = quotient(load.te_e, load.te_h)
+        tm = quotient(load.tm_e, load.tm_h)
+    sx = wp.dot(s, x)
+    sz = wp.dot(s, wp.cross(x, n))
+    share = sx * sx / wp.max(sx * sx + sz * sz, wp.float64(1.0e-12))
+    found = Surface()
+    found.impedance = te + share * (tm - te)
+    found.admittance = inverse(tm) + share * (inverse(te) - inverse(tm))
+    return found
 
 
 @wp.func
@@ -174,26 +175,29 @@ def lifted(own: wp.vec2d, across: wp.vec2d, integral: wp.vec2d, phi: wp.float64,
 
 
 @wp.func
-def off_grazing(phi: wp.float64, y: wp.float64) -> wp.float64:
-    """The angle at which a face of finite length is met by a wave that comes along it: never less than its own
-    diffraction spreads, so a thin layer on a short face is as a conductor there. `y` = k_t times the length."""
+def off_grazing(phi: wp.float64, y: wp.float64, v: wp.vec2d) -> wp.float64:
+    """The angle at which a face sees a wave that comes along it [rad]; `y`: k_t times its length, `v`: sin theta.
+
+    Over a short face a thin layer does not slow the wave down yet: its numerical distance y |v|^2 / 2 is small. So the
+    angle is no less than that by which such a face spreads what comes along a conductor.
+    """
     if phi >= HALF:
         return phi
     one = wp.float64(1.0)
     cosine = wp.cos(phi)
-    way = wp.max(y * (one - cosine), wp.float64(1.0e-12)) / wp.max(cosine * cosine, wp.float64(1.0e-12))
-    kept = wp.sqrt(one - wp.exp(-wp.min(wp.float64(4.0) / PI * way, wp.float64(700.0))))
+    way = (one - cosine) / wp.max(cosine * cosine, wp.float64(1.0e-12)) + wp.float64(0.5) * wp.dot(v, v)
+    kept = wp.sqrt(one - wp.exp(-wp.clamp(wp.float64(4.0) / PI * y * way, wp.float64(1.0e-12), wp.float64(700.0))))
     return wp.min(wp.max(phi, wp.float64(1.0e-6)) / kept, HALF)
 
 
 @wp.struct
 class Side:
-    """One face of a wedge: as in `Edge`, its impedances, and how the wave meets it."""
+    """One face of a wedge: as in `Edge`, what it makes of fields, and how the wave meets it."""
 
     x: wp.vec3d
     n: wp.vec3d
     reach: wp.float64  # [m]
-    z: Impedances
+    of: Surface
     phi: wp.float64  # angle from the face [rad]; off the poles; and off grazing
     at: wp.float64
     off: wp.float64
@@ -208,9 +212,10 @@ def coated_fringe(e: wp.vec3d, k: wp.float64, s: wp.vec3d, outer: wp.float64, si
     z = wp.cross(side.x, side.n)
     sine = sine_to(s, z)
     kt = k * sine
-    of = transforms(kt, side.at, outer, side.reach)
-    sine_e = sine_of_e(sine, side.z.along)
-    sine_h = sine * side.z.across
+    sine_e = sine * side.of.admittance
+    sine_h = sine * side.of.impedance
+    farther = wp.dot(sine_h, sine_h) / wp.max(two - two * wp.cos(side.at), wp.float64(1.0e-12))
+    of = transforms(kt, side.at, outer, side.reach * (wp.float64(1.0) + farther))
     up = wp.abs(wp.sin(side.off))
     turn = wp.sin(side.off / outer) / wp.sin(wp.abs(PI - side.off) / outer)
     hard = of.hard * turn * up * quotient(side.lift_h, real(up) + sine_h)
@@ -219,14 +224,15 @@ def coated_fringe(e: wp.vec3d, k: wp.float64, s: wp.vec3d, outer: wp.float64, si
     hard_po = of.hard_po * here * quotient(real(wp.float64(1.0)), real(here) + sine_h)
     soft_po = of.soft_po * quotient(sine_e, real(here) + sine_e)
     h = -wp.cross(s, e)  # eta H, as the wave travels along -s
-    hz = wp.dot(h, z)
-    ez = wp.dot(e, z)
-    kz = -wp.dot(s, z)  # k_z / k of the wave that comes in
-    across = two / kt * hz * (hard - hard_po)
-    along = -ez / (k * sine * sine) * (soft - soft_po)
-    along += kz / sine * two / kt * hz * of.cosine * (hard + hard_po)
-    magnetic = product(side.z.across, across)  # along z: M = E x n, and E = Z J
-    sideways = -product(side.z.along, along)
+    hz = two / kt * wp.dot(h, z)
+    ez = -wp.dot(e, z) / (kt * sine)
+    kz = -wp.dot(s, z) / sine * of.cosine  # k_z / k_t of the wave that comes in, by the cosine of its angle to the face
+    # J = n x H and M = E x n of the fields that E and H along the edge have.
+    across = hz * (hard - hard_po)
+    level = ez * (soft - soft_po)
+    along = level + kz * hz * (hard + hard_po)
+    magnetic = product(side.of.impedance, across) - kz * ez * quotient(soft + soft_po, side.of.admittance)
+    sideways = -quotient(level, side.of.admittance)
     share = grazing_share(side.phi, outer)
     sx = wp.cross(s, side.x)
     sz = wp.cross(s, z)
@@ -256,25 +262,26 @@ def coated_diffracted(radar: TubeRadar, k: wp.float64, edge: Edge, first: Face, 
     one.x = edge.first
     one.n = edge.normal_first
     one.reach = edge.reach_first
-    one.z = impedances(first, k, s, edge.first, edge.normal_first)
+    one.of = surface_of(first, k, s, edge.first, edge.normal_first)
     one.phi = phi
     two = Side()
     two.x = edge.second
     two.n = edge.normal_second
     two.reach = edge.reach_second
-    two.z = impedances(second, k, s, edge.second, edge.normal_second)
+    two.of = surface_of(second, k, s, edge.second, edge.normal_second)
     two.phi = full - phi
     at = off_poles(full - off_poles(phi))
     two.at = at
     one.at = full - at
-    off = off_grazing(full - off_grazing(at, k * sine * edge.reach_second), k * sine * edge.reach_first)
+    off = full - off_grazing(at, k * sine * edge.reach_second, sine * two.of.impedance)
+    off = off_grazing(off, k * sine * edge.reach_first, sine * one.of.impedance)
     one.off = off
     two.off = full - off
     theta = Wedge()
-    theta.first_e = arcsine(sine_of_e(sine, one.z.along))
-    theta.first_h = arcsine(sine * one.z.across)
-    theta.second_e = arcsine(sine_of_e(sine, two.z.along))
-    theta.second_h = arcsine(sine * two.z.across)
+    theta.first_e = arcsine(sine * one.of.admittance)
+    theta.first_h = arcsine(sine * one.of.impedance)
+    theta.second_e = arcsine(sine * two.of.admittance)
+    theta.second_h = arcsine(sine * two.of.impedance)
     of = integrals(theta, off, edge.outer)
     one.lift_e = lifted(theta.first_e, theta.second_e, of.first_e, off, edge.outer)
     one.lift_h = lifted(theta.first_h, theta.second_h, of.first_h, off, edge.outer)
