@@ -9,8 +9,8 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from warpsar.kernels.coherent.diffuse import diffused, there_and_back
 from warpsar.kernels.coherent.coated_edges import diffracted_of
+from warpsar.kernels.coherent.diffuse import diffused, there_and_back
 from warpsar.kernels.coherent.edges import Edge, diffracted
 from warpsar.kernels.coherent.numbers import product, turned
 from warpsar.kernels.coherent.placing import Patches

@@ -20,10 +20,10 @@ the edge and a face's normal, in which a face reflects (docs/coherent.md).
 import warp as wp
 
 from warpsar.kernels.coherent.edges import (
+    EDGES,
     HALF,
     PI,
     Edge,
-    EDGES,
     angle_from,
     diffracted,
     grazing_share,
