@@ -12,9 +12,9 @@ outer angle, mu = 1 / n. It makes the transform of H_z -s / (sin x + sin theta),
 2 s sin theta / (sin x + sin theta). The ratio of Psi is a product of cosines by an integral that fades as
 e^{-pi s / 2} at least, for any impedance: psi(w + pi/2) psi(w - pi/2) ~ cos(w mu / 2).
 
-Exact for waves across the edge. A wave that comes aslant has the impedances times the sine of its angle to the edge,
-and the fields along the edge do not couple: exact for waves across a face's edge, and for those in the plane through
-the edge and a face's normal, in which a face reflects (docs/coherent.md).
+All this is exact for waves across the edge. For a wave aslant to it the impedances are those times the sine of its
+angle to the edge, and E and H along the edge do not couple. Where a face reflects the wave back across the edge, in the
+plane through the edge and the face's normal, they do not. Currents have both fields' parts, as those of a conductor.
 """
 
 import warp as wp

@@ -230,7 +230,8 @@ class CoherentBody:
         Only of plates of bare metal.
         """
         which, step, cuts = self.cuts(longest_m)
-        bare = np.array([m.bare for m in self.materials])[self.shape.wedges.material].all(axis=1)
+        coated = [i for i, m in enumerate(self.materials) if not m.bare]
+        bare = ~np.isin(self.shape.wedges.material, coated).any(axis=1)
         along = (self.shape.wedges.end - self.shape.wedges.start)[which] / cuts[:, None]
         middle = self.shape.wedges.start[which] + (step + 0.5)[:, None] * along
         packed, opposite = rims(self.shape, which, bare, middle, along, thin_m)

@@ -25,7 +25,7 @@ def fringes(
     """Diffraction coefficients of a wedge of metal, bare or under layers, E and H along its edge, (2, n).
 
     The wave comes from and goes to angles `phi` (n,) [rad] from the first face. They are those of Keller, without their
-    factor e^{-j pi / 4} / sqrt(2 pi k), less physical optics of both faces. `outer`: the outer angle over pi, 2 for a
+    factor e^{-j pi / 4} / sqrt(2 pi k), less those of physical optics of both faces. `outer`: the outer angle over pi, 2 for a
     half-plane; `reach_m`: length of the faces.
     """
     edge, radar = records(edges.Edge, 1), records(tubes.TubeRadar, len(phi))
@@ -48,6 +48,5 @@ def fringes(
         upload(faces_of([material]), reflection.Face, device),
     ]
     wp.launch(coated_edges.coated_edges_kernel, (len(phi), 1, 1), inputs=inputs, outputs=[out], device=device)
-    hh, vv = (out.numpy()[:, 0, 0, i] @ np.array([1.0, 1.0j]) for i in (0, 3))
-    found: NDArray[np.complex128] = 2.0 * np.pi / _LENGTH_M * np.stack([-vv, hh])
-    return found
+    four = out.numpy()[:, 0, 0] @ np.array([1.0, 1.0j])
+    return np.asarray(2.0 * np.pi / _LENGTH_M * np.stack([-four[:, 3], four[:, 0]]), np.complex128)
