@@ -14,7 +14,6 @@ of a conductor.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from pathlib import Path
 
@@ -225,9 +224,8 @@ def of_square(layer: Layer, polarization: str, count: int = PANELS) -> list[NDAr
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    tables.add_write(parser)
-    options = parser.parse_args()
+    options = tables.parser(__doc__, stored=False).parse_args()
+    made = tables.made()
     for n in OUTER.values():
         for sine, metal in ((1e-7, 1.0), (1e7, -1.0)):
             for phi in angles(n):
@@ -245,7 +243,7 @@ def main() -> int:
             rows.append((name, f"{eta.real:.2f} {eta.imag:+.2f}j", body, *cells))
     head = ["layer", "impedance from above", "body"]
     head += [f"{pol} along the edge, {of}" for pol in "EH" for of in ("engine", "fringe of bare metal")]
-    tables.publish({"coated_edges": tables.markdown(head, rows)}, {"made": tables.made()}, options.write)
+    tables.publish({"coated_edges": tables.markdown(head, rows)}, {"made": made}, options.write)
     return 0
 
 

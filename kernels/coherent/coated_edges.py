@@ -40,7 +40,7 @@ NODES = wp.constant(40)
 """Of the integral (midpoint rule, which converges exponentially): right to 1e-5."""
 STEP = wp.constant(wp.float64(0.15))
 LEAST = wp.constant(wp.float64(1.0e-6))
-"""Impedance of a conductor for E along the edge, whose spectrum has 1 / Z."""
+"""An impedance or admittance below that is as good as none, and the other one has an end."""
 
 
 @wp.struct
@@ -67,11 +67,11 @@ def real(x: wp.float64) -> wp.vec2d:
 
 
 @wp.func
-def inverse(z: wp.vec2d) -> wp.vec2d:
-    """1 / z; 1 / LEAST of less than that."""
-    if wp.dot(z, z) < LEAST * LEAST:
+def ratio(a: wp.vec2d, b: wp.vec2d) -> wp.vec2d:
+    """a / b, up to 1 / LEAST."""
+    if wp.dot(b, b) < LEAST * LEAST * wp.dot(a, a):
         return real(wp.float64(1.0) / LEAST)
-    return wp.vec2d(z[0], -z[1]) / wp.dot(z, z)
+    return quotient(a, b)
 
 
 @wp.func
@@ -81,14 +81,16 @@ def surface_of(face: Face, k: wp.float64, s: wp.vec3d, x: wp.vec3d, n: wp.vec3d)
     tm = wp.vec2d()
     if face.layer != 0:
         load = load_of(face, k, wp.min(wp.abs(wp.dot(s, n)), wp.float64(1.0)))
-        te = quotient(load.te_e, load.te_h)
-        tm = quotient(load.tm_e, load.tm_h)
+        te = ratio(load.te_e, load.te_h)
+        tm = ratio(load.tm_e, load.tm_h)
+    y_te = ratio(real(wp.float64(1.0)), te)
+    y_tm = ratio(real(wp.float64(1.0)), tm)
     sx = wp.dot(s, x)
     sz = wp.dot(s, wp.cross(x, n))
     share = sx * sx / wp.max(sx * sx + sz * sz, wp.float64(1.0e-12))
     found = Surface()
     found.impedance = te + share * (tm - te)
-    found.admittance = inverse(tm) + share * (inverse(te) - inverse(tm))
+    found.admittance = y_tm + share * (y_te - y_tm)
     return found
 
 

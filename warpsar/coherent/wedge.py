@@ -25,8 +25,8 @@ def fringes(
     """Diffraction coefficients of a wedge of metal, bare or under layers, E and H along its edge, (2, n).
 
     The wave comes from and goes to angles `phi` (n,) [rad] from the first face. They are those of Keller, without their
-    factor e^{-j pi / 4} / sqrt(2 pi k), less those of physical optics of both faces. `outer`: the outer angle over pi, 2 for a
-    half-plane; `reach_m`: length of the faces.
+    factor e^{-j pi / 4} / sqrt(2 pi k), less those of physical optics of both faces. `outer`: the outer angle over pi,
+    2 for a half-plane; `reach_m`: length of the faces.
     """
     edge, radar = records(edges.Edge, 1), records(tubes.TubeRadar, len(phi))
     cosine, sine = np.cos(outer * np.pi), np.sin(outer * np.pi)
