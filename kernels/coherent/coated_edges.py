@@ -44,7 +44,7 @@ LEAST = wp.constant(wp.float64(1.0e-6))
 
 
 @wp.struct
-class Surface:
+class EdgeSurface:
     """What a face makes of fields along an edge, over what space does: E / H for H along it, H / E for E along it."""
 
     impedance: wp.vec2d
@@ -75,7 +75,7 @@ def ratio(a: wp.vec2d, b: wp.vec2d) -> wp.vec2d:
 
 
 @wp.func
-def surface_of(face: Face, k: wp.float64, s: wp.vec3d, x: wp.vec3d, n: wp.vec3d) -> Surface:
+def surface_of(face: Face, k: wp.float64, s: wp.vec3d, x: wp.vec3d, n: wp.vec3d) -> EdgeSurface:
     """Of a stack of layers under a wave from s; x across the edge. In the plane of incidence it is that of TM."""
     te = wp.vec2d()
     tm = wp.vec2d()
@@ -88,7 +88,7 @@ def surface_of(face: Face, k: wp.float64, s: wp.vec3d, x: wp.vec3d, n: wp.vec3d)
     sx = wp.dot(s, x)
     sz = wp.dot(s, wp.cross(x, n))
     share = sx * sx / wp.max(sx * sx + sz * sz, wp.float64(1.0e-12))
-    found = Surface()
+    found = EdgeSurface()
     found.impedance = te + share * (tm - te)
     found.admittance = y_tm + share * (y_te - y_tm)
     return found
@@ -199,7 +199,7 @@ class Side:
     x: wp.vec3d
     n: wp.vec3d
     reach: wp.float64  # [m]
-    of: Surface
+    of: EdgeSurface
     phi: wp.float64  # angle from the face [rad]; off the poles; and off grazing
     at: wp.float64
     off: wp.float64

@@ -402,7 +402,7 @@ def cautions(scene: World, highest_hz: float | None = None) -> list[str]:
     if thick and "edges" in scene.radar.terms:
         found.append(
             f"edges of {', '.join(thick)} have the impedance of their layers, which are thicker than a twentieth of a "
-            "wavelength: off by several dB where edges are all that comes back"
+            "wavelength: off by 3 to 6 dB where edges are all that comes back"
         )
     stacks = sorted(
         name
