@@ -231,7 +231,7 @@ class CoherentBody:
         """
         which, step, cuts = self.cuts(longest_m)
         coated = [i for i, m in enumerate(self.materials) if not m.bare]
-        bare = ~np.isin(self.shape.wedges.material, coated).any(axis=1)
+        bare = np.asarray(~np.isin(self.shape.wedges.material, coated).any(axis=1), np.bool_)
         along = (self.shape.wedges.end - self.shape.wedges.start)[which] / cuts[:, None]
         middle = self.shape.wedges.start[which] + (step + 0.5)[:, None] * along
         packed, opposite = rims(self.shape, which, bare, middle, along, thin_m)
