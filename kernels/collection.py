@@ -9,6 +9,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from warpsar.kernels.coherent.coated_edges import diffracted_of
 from warpsar.kernels.coherent.diffuse import diffused, there_and_back
 from warpsar.kernels.coherent.edges import Edge, diffracted
 from warpsar.kernels.coherent.numbers import product, turned
@@ -156,6 +157,26 @@ def edge_places_kernel(
         return
     edge = edge_in[i]
     four = diffracted(radar_in[0], k, edge)
+    keep_without_phase(amplitude_out, i, four, radar_in[0], k, edge.middle)
+
+
+@wp.kernel(enable_backward=False, module="unique")
+def coated_edge_places_kernel(
+    # In:
+    radar_in: wp.array[TubeRadar],
+    k: wp.float64,
+    edge_in: wp.array[Edge],
+    seen_in: wp.array2d[wp.uint8],
+    stuff_in: wp.array2d[Face],
+    # Out:
+    amplitude_out: wp.array2d[wp.vec2],
+):
+    """As `edge_places_kernel`, with coats."""
+    i = wp.tid()
+    if seen_in[0, i] == wp.uint8(0):
+        return
+    edge = edge_in[i]
+    four = diffracted_of(radar_in[0], k, edge, stuff_in, 0)
     keep_without_phase(amplitude_out, i, four, radar_in[0], k, edge.middle)
 
 

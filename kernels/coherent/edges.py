@@ -39,6 +39,85 @@ class Edge:
     share: wp.float64  # 1; 1/2 where both faces state the edge
     reach_first: wp.float64  # how far the two surfaces go from the edge [m]
     reach_second: wp.float64
+    material_first: int  # what the two faces are made of
+    material_second: int
+
+
+@wp.struct
+class Transforms:
+    """Of the fields on a face of a conducting wedge, along it: H_z (hard) and dE_z / dy (soft), and what physical
+    optics has of them. The hard ones are without their factor 2j / k_t."""
+
+    hard: wp.float64
+    soft: wp.float64
+    hard_po: wp.float64
+    soft_po: wp.float64
+    cosine: wp.float64  # of the angle to the face that they are taken at
+
+
+@wp.func
+def sine_to(s: wp.vec3d, z: wp.vec3d) -> wp.float64:
+    """Of the angle between a direction and an edge along z; 0 along the edge, where no current is of first order."""
+    sz = wp.dot(s, z)
+    sine = wp.sqrt(wp.max(wp.float64(1.0) - sz * sz, wp.float64(0.0)))
+    return wp.where(sine < wp.float64(1.0e-3), wp.float64(0.0), sine)
+
+
+@wp.func
+def angle_from(s: wp.vec3d, x: wp.vec3d, n: wp.vec3d, outer: wp.float64) -> wp.float64:
+    """Of a direction from a face [rad], 0 to the outer angle. Negative in the inner angle of a corner, where tubes go
+    from face to face."""
+    phi = wp.atan2(wp.dot(s, n), wp.dot(s, x))
+    if phi < wp.float64(-1.0e-7):
+        phi = phi + wp.float64(2.0) * PI
+    if phi > outer * PI + wp.float64(1.0e-6):
+        return wp.float64(-1.0)
+    return wp.clamp(phi, wp.float64(0.0), outer * PI)
+
+
+@wp.func
+def grazing_share(phi: wp.float64, outer: wp.float64) -> wp.float64:
+    """1; 1/2 along a face, where both sides of it count."""
+    if phi < wp.float64(1.0e-6) or outer * PI - phi < wp.float64(1.0e-6):
+        return wp.float64(0.5)
+    return wp.float64(1.0)
+
+
+@wp.func
+def off_poles(phi: wp.float64) -> wp.float64:
+    """Off the poles: phi = pi / 2 (the strip's specular direction), and pi (the border of light)."""
+    if wp.abs(phi - HALF) < POLE:
+        phi = HALF + POLE
+    if wp.abs(phi - PI) < POLE:
+        phi = wp.where(phi < PI, PI - POLE, PI + POLE)
+    return phi
+
+
+@wp.func
+def transforms(kt: wp.float64, phi: wp.float64, outer: wp.float64, reach: wp.float64) -> Transforms:
+    """Of a face that the wave meets at an angle off the poles; `kt`: the wavenumber across the edge, `reach` [m]."""
+    zero = wp.float64(0.0)
+    one = wp.float64(1.0)
+    two = wp.float64(2.0)
+    lit = wp.where(phi < PI, one, zero)
+    cosine = wp.cos(phi)
+    alpha = wp.where(phi < PI, phi, two * PI - phi)
+    wide = wp.cos((PI - alpha) / outer) - wp.cos(phi / outer)
+    sin_alpha = wp.max(wp.sin(alpha), wp.float64(1.0e-6))
+    hard = -wp.sin((PI - alpha) / outer) / (outer * sin_alpha * wide)
+    soft = two * wp.sin(phi / outer) / (outer * wide)
+    y = kt * reach * (one - cosine)
+    kept = wp.sqrt(one - wp.exp(-wp.float64(4.0) / PI * wp.max(y, wp.float64(1.0e-12))))
+    half = wp.max(wp.tan(alpha / two), wp.float64(5.0e-7))
+    side = wp.where(phi < PI, one, -one)  # of a sheet both faces have a grazing direction
+    hard -= side * (one - kept) / (two * outer * wp.tan(HALF / outer) * half)
+    found = Transforms()
+    found.hard = hard
+    found.soft = soft
+    found.hard_po = lit / (cosine + cosine)
+    found.soft_po = -two * lit * wp.sin(phi) / (cosine + cosine)
+    found.cosine = cosine
+    return found
 
 
 @wp.func
@@ -51,54 +130,22 @@ def fringe(
     along x [m]. The wave comes from s and goes back to it. The result is j times a real vector: INT J over the face
     across the edge [V].
     """
-    zero = wp.float64(0.0)
-    one = wp.float64(1.0)
     two = wp.float64(2.0)
     z = wp.cross(x, n)
-    sz = wp.dot(s, z)
-    sine = wp.sqrt(wp.max(one - sz * sz, zero))
-    if sine < wp.float64(1.0e-3):  # along the edge: no first-order currents
+    sine = sine_to(s, z)
+    phi = angle_from(s, x, n, outer)
+    if sine == wp.float64(0.0) or phi < wp.float64(0.0):
         return wp.vec3d()
     kt = k * sine
-    phi = wp.atan2(wp.dot(s, n), wp.dot(s, x))
-    if phi < wp.float64(-1.0e-7):
-        phi = phi + two * PI
-    if phi > outer * PI + wp.float64(1.0e-6):  # in the inner angle of a corner, where tubes go from face to face
-        return wp.vec3d()
-    phi = wp.clamp(phi, zero, outer * PI)
-    lit = zero
-    if phi < PI:
-        lit = one
-    grazing = one
-    if phi < wp.float64(1.0e-6) or outer * PI - phi < wp.float64(1.0e-6):
-        grazing = wp.float64(0.5)
-    # The poles: phi = pi / 2 (the strip's specular direction), and pi (the border of light).
-    if wp.abs(phi - HALF) < POLE:
-        phi = HALF + POLE
-    if wp.abs(phi - PI) < POLE:
-        phi = wp.where(phi < PI, PI - POLE, PI + POLE)
-    cosine = wp.cos(phi)
-    alpha = wp.where(phi < PI, phi, two * PI - phi)
-    wide = wp.cos((PI - alpha) / outer) - wp.cos(phi / outer)
-    # Transforms of H_z (hard) and of dE_z / dy (soft) along the face; the first without its factor 2j / k_t.
-    sin_alpha = wp.max(wp.sin(alpha), wp.float64(1.0e-6))
-    hard = -wp.sin((PI - alpha) / outer) / (outer * sin_alpha * wide)
-    soft = two * wp.sin(phi / outer) / (outer * wide)
-    y = kt * reach * (one - cosine)
-    kept = wp.sqrt(one - wp.exp(-wp.float64(4.0) / PI * wp.max(y, wp.float64(1.0e-12))))
-    half = wp.max(wp.tan(alpha / two), wp.float64(5.0e-7))
-    side = wp.where(phi < PI, one, -one)  # of a sheet both faces have a grazing direction
-    hard -= side * (one - kept) / (two * outer * wp.tan(HALF / outer) * half)
-    hard_po = lit / (cosine + cosine)
-    soft_po = -two * lit * wp.sin(phi) / (cosine + cosine)
+    of = transforms(kt, off_poles(phi), outer, reach)
     h = -wp.cross(s, e)  # eta H, as the wave travels along -s
     hz = wp.dot(h, z)
     ez = wp.dot(e, z)
-    kz = -sz  # k_z / k of the wave that comes in
-    across = two / kt * (hard - hard_po) * hz
-    along = -(soft - soft_po) * ez / (k * sine * sine)
-    along += kz / sine * two / kt * (cosine * hard + cosine * hard_po) * hz
-    return grazing * (across * x + along * z)
+    kz = -wp.dot(s, z)  # k_z / k of the wave that comes in
+    across = two / kt * (of.hard - of.hard_po) * hz
+    along = -(of.soft - of.soft_po) * ez / (k * sine * sine)
+    along += kz / sine * two / kt * (of.cosine * of.hard + of.cosine * of.hard_po) * hz
+    return grazing_share(phi, outer) * (across * x + along * z)
 
 
 @wp.func

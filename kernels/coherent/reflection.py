@@ -79,8 +79,8 @@ def on_top(
 
 
 @wp.func
-def of_layers(face: Face, k: wp.float64, cosine: wp.float64) -> Coefficients:
-    """Reflection of a stack of layers by their transfer matrices, from the lowest up (Born and Wolf, 1.6)."""
+def load_of(face: Face, k: wp.float64, cosine: wp.float64) -> Load:
+    """The fields on a stack of layers by their transfer matrices, from the lowest up (Born and Wolf, 1.6)."""
     one = wp.vec2d(wp.float64(1.0), wp.float64(0.0))
     load = Load()
     load.te_h = one
@@ -95,7 +95,13 @@ def of_layers(face: Face, k: wp.float64, cosine: wp.float64) -> Coefficients:
             eps = wp.vec2d(face.under[row, 0], face.under[row, 1])
             mu = wp.vec2d(face.under[row, 2], face.under[row, 3])
             load = on_top(load, eps, mu, face.under[row, 4], k, cosine)
-    load = on_top(load, face.permittivity, face.permeability, face.thickness, k, cosine)
+    return on_top(load, face.permittivity, face.permeability, face.thickness, k, cosine)
+
+
+@wp.func
+def of_layers(face: Face, k: wp.float64, cosine: wp.float64) -> Coefficients:
+    """Reflection of a stack of layers."""
+    load = load_of(face, k, cosine)
     found = Coefficients()
     found.te = quotient(cosine * load.te_e - load.te_h, cosine * load.te_e + load.te_h)
     found.tm = quotient(load.tm_e - cosine * load.tm_h, load.tm_e + cosine * load.tm_h)

@@ -7,6 +7,7 @@ of the kernels of the sweep, by the same functions.
 
 import warp as wp
 
+from warpsar.kernels.coherent.coated_edges import diffracted_of
 from warpsar.kernels.coherent.edges import Edge, diffracted
 from warpsar.kernels.coherent.numbers import sinc, turned
 from warpsar.kernels.coherent.radiate import (
@@ -373,6 +374,33 @@ def seams_kernel(
     view = view_in[i]
     edge = edge_of(seam_in[which_in[i]], vertices_in, faces_in, surface_in, total_in)
     add(amplitude_out, view, f, diffracted(radar_in[view], wavenumber_in[f], edge))
+
+
+@wp.kernel(module="unique")
+def coated_seams_kernel(
+    # In:
+    radar_in: wp.array[TubeRadar],
+    wavenumber_in: wp.array[wp.float64],
+    vertices_in: wp.array[wp.vec3d],
+    faces_in: wp.array2d[int],
+    surface_in: wp.array[int],
+    total_in: wp.array[wp.vec4d],
+    view_in: wp.array[int],
+    which_in: wp.array[int],
+    seam_in: wp.array[Seam],
+    stuff_in: wp.array2d[Face],
+    material_in: wp.array[int],
+    # Out:
+    amplitude_out: wp.array3d[wp.vec2d],
+):
+    """As `seams_kernel`, with coats."""
+    i, f = wp.tid()
+    view = view_in[i]
+    seam = seam_in[which_in[i]]
+    edge = edge_of(seam, vertices_in, faces_in, surface_in, total_in)
+    edge.material_first = material_in[seam.face]
+    edge.material_second = material_in[seam.other]
+    add(amplitude_out, view, f, diffracted_of(radar_in[view], wavenumber_in[f], edge, stuff_in, f))
 
 
 @wp.kernel

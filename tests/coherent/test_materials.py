@@ -242,7 +242,10 @@ def test_rcs_writes_its_table(files: Path) -> None:
         ({"conductor": True, "eps_r": 3.0}, r"eps_r of a conductor has no effect without thickness_m"),
         ({"eps_r": 3.0, "rms_height_m": 0.0}, r"fill a half-space .* open at 4 edges"),
         ({"eps_r": 3.0, "rms_height_m": 0.0}, "edges of default have no term"),
-        ({"conductor": True, "eps_r": 3.0, "thickness_m": 0.002}, "edges of default diffract as those of bare metal"),
+        (
+            {"conductor": True, "eps_r": 3.0, "thickness_m": 0.002},
+            "edges of default have the impedance of their layers",
+        ),
     ],
 )
 def test_what_may_be_meant_otherwise_is_said(material: dict[str, Any], message: str) -> None:

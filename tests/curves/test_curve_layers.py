@@ -16,6 +16,7 @@ from warpsar.cli.main import main
 from warpsar.curves.materials import MaterialHypothesis
 from warpsar.diagnosis.curve_layers import FAMILIES, Probed, coated, reflections
 from warpsar.diagnosis.curve_materials import beside
+from warpsar.world.tables import MaterialLayer
 
 PLATE = "usemtl sheet\nv 0 -.12 -.08\nv 0 .12 -.08\nv 0 .12 .08\nv 0 -.12 .08\nf 1 2 3\nf 1 3 4\n"
 PHI = np.arange(-60.0, 60.01, 0.5)
@@ -23,8 +24,12 @@ ROLES = ((6e9, "train"), (8e9, "train"), (10e9, "test"))
 SHORTEST_M = 0.03
 
 
+def _pair(value: complex) -> tuple[float, float]:
+    return complex(value).real, complex(value).imag
+
+
 def diagnosed(folder: Path, stack: Stack, declared: str = "conductor = true", seed: int = 0) -> dict:
-    """What `diagnose` says of a plate whose flat face has the closed form's coefficients, and whose edges are bare."""
+    """What `diagnose` says of a plate whose flat face has the closed form's coefficients, and the engine's edges."""
     (folder / "plate.obj").write_text(PLATE)
     head = (
         '[scene]\nmesh = "plate.obj"\n[radar]\nfrequency_hz = 8e9\npolarizations = ["HH", "VV"]\n'
@@ -32,14 +37,16 @@ def diagnosed(folder: Path, stack: Stack, declared: str = "conductor = true", se
     )
     (folder / "bare.toml").write_text(f"{head}conductor = true\n")
     bare = warpsar.Scene.load(folder / "bare.toml")
+    layers = tuple(MaterialLayer(eps_r=_pair(eps), mu_r=_pair(mu), thickness_m=thick) for eps, mu, thick in stack)
+    with_layers = replace(bare, materials={"sheet": warpsar.Material(conductor=True, layers=layers)})
     random, tables = np.random.default_rng(seed), ""
     for frequency, role in ROLES:
-        made = warpsar.rcs(bare, 90.0 - PHI, 90.0, [frequency], device="cpu")
+        made, edged = (warpsar.rcs(one, 90.0 - PHI, 90.0, [frequency], device="cpu") for one in (bare, with_layers))
         sin = np.abs(np.sin(np.deg2rad(PHI)))
         for place, pol in enumerate(("HH", "VV")):
             gain = -reflection(stack, True, frequency, pol == "VV", sin) if stack else np.ones(len(PHI))
-            terms = {name: np.sqrt(4 * np.pi) * term[:, 0, 0, place] for name, term in made.terms_m.items()}
-            field = gain * terms["single"] + terms["edges"]
+            single, edges = (one[:, 0, 0, place] for one in (made.terms_m["single"], edged.terms_m["edges"]))
+            field = np.sqrt(4 * np.pi) * (gain * single + edges)
             noise = 0.01 * np.abs(field).max() * (random.normal(size=(2, len(PHI))) / np.sqrt(2.0))
             level = 10 * np.log10(np.abs(field + noise[0] + 1j * noise[1]) ** 2)
             name = f"{pol}{frequency / 1e9:g}.csv"

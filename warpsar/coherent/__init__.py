@@ -8,6 +8,7 @@
 | `rough.py` | the parameters of rough faces |
 | `rough_models.py` | which scatterers have a model beside `ka_spm`, and what their kernels look up |
 | `plates.py` | the rims of thin plates, which waves go between |
+| `wedge.py` | what the edge of an endless wedge adds to physical optics |
 | `records.py` | arrays of a kernel's structs, filled on the host |
 | `body.py` | a shape and its materials on a device |
 | `forecast.py` | time and memory of a sweep, measured on parts of it |

@@ -149,23 +149,17 @@ class CoherentBody:
 
     def stuff(self, frequencies: int) -> wp.array:
         """The materials at each frequency, shape (frequencies, materials)."""
-        packed = records(reflection.Face, (frequencies, len(self.materials)))
-        for m, material in enumerate(self.materials):
-            packed["conductor"][:, m] = material.conductor
-            layers = [(*_parts(one.eps_r), *_parts(one.mu_r), one.thickness_m) for one in material.stack]
-            packed["layer"][:, m] = len(layers)
-            outer = layers[0] if layers else (*_parts(material.eps_r or 1.0), 1.0, 0.0, 0.0)
-            packed["permittivity"][:, m], packed["permeability"][:, m] = outer[:2], outer[2:4]
-            packed["thickness"][:, m] = outer[4]
-            for row, one in enumerate(layers[1:]):
-                packed["under"][:, m, row] = one
-            packed["rms_height"][:, m] = material.rms_height_m or 0.0
-        return upload(packed, reflection.Face, self.device)
+        return upload(faces_of(self.materials, frequencies), reflection.Face, self.device)
 
     @property
     def has_slabs(self) -> bool:
         """Whether there is a slab in air."""
         return any(m.stack and not m.conductor for m in self.materials)
+
+    @property
+    def has_coats(self) -> bool:
+        """Whether there is a conductor with layers."""
+        return any(m.stack and m.conductor for m in self.materials)
 
     @property
     def has_solids(self) -> bool:
@@ -227,15 +221,37 @@ class CoherentBody:
         for name in ("first", "second", "normal_first", "normal_second", "outer", "share"):
             packed[name] = getattr(wedges, name)[which]
         packed["reach_first"], packed["reach_second"] = wedges.reach(which, packed["middle"]).T
+        packed["material_first"], packed["material_second"] = wedges.material[which].T
         return upload(packed, edges.Edge, self.device)
 
     def plate_rims(self, longest_m: float, thin_m: float) -> tuple[wp.array, wp.array]:
-        """Which of `edge_pieces` are rims of plates thinner than `thin_m`, as edges of sheets; and what is opposite."""
+        """Which of `edge_pieces` are rims of plates thinner than `thin_m`, as edges of sheets; and what is opposite.
+
+        Only of plates of bare metal.
+        """
         which, step, cuts = self.cuts(longest_m)
+        coated = [i for i, m in enumerate(self.materials) if not m.bare]
+        bare = np.asarray(~np.isin(self.shape.wedges.material, coated).any(axis=1), np.bool_)
         along = (self.shape.wedges.end - self.shape.wedges.start)[which] / cuts[:, None]
         middle = self.shape.wedges.start[which] + (step + 0.5)[:, None] * along
-        packed, opposite = rims(self.shape, which, middle, along, thin_m)
+        packed, opposite = rims(self.shape, which, bare, middle, along, thin_m)
         return upload(packed, edges.Edge, self.device), upload(opposite, edge_waves.Opposite, self.device)
+
+
+def faces_of(materials: Sequence[Material], frequencies: int = 1) -> Any:
+    """Records of `reflection.Face`, (frequencies, materials)."""
+    packed = records(reflection.Face, (frequencies, len(materials)))
+    for m, material in enumerate(materials):
+        packed["conductor"][:, m] = material.conductor
+        layers = [(*_parts(one.eps_r), *_parts(one.mu_r), one.thickness_m) for one in material.stack]
+        packed["layer"][:, m] = len(layers)
+        outer = layers[0] if layers else (*_parts(material.eps_r or 1.0), 1.0, 0.0, 0.0)
+        packed["permittivity"][:, m], packed["permeability"][:, m] = outer[:2], outer[2:4]
+        packed["thickness"][:, m] = outer[4]
+        for row, one in enumerate(layers[1:]):
+            packed["under"][:, m, row] = one
+        packed["rms_height"][:, m] = material.rms_height_m or 0.0
+    return packed
 
 
 def _parts(value: Any) -> tuple[float, float]:

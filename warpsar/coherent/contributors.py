@@ -13,7 +13,7 @@ from warpsar.coherent.rcs import RcsRequest
 from warpsar.coherent.records import records, upload
 from warpsar.coherent.sweep import POLARIZATIONS, RAYS_PER_WAVELENGTH, TERMS, Worker
 from warpsar.coherent.traced import LEVELS
-from warpsar.kernels.coherent import edges, radiate, tubes
+from warpsar.kernels.coherent import coated_edges, edges, radiate, tubes
 from warpsar.world.frame import SPEED_OF_LIGHT
 from warpsar.world.world import World
 
@@ -71,7 +71,10 @@ def contributors(
         seen = worker.free(radars, worker.edge_middle, worker.edge_outward, both_sides=False)
         out = wp.empty((len(which), 4), dtype=wp.vec2d, device=body.device)
         inputs = [radars, wp.float64(k[0]), worker.edges, seen]
-        wp.launch(edges.pieces_kernel, len(which), inputs=inputs, outputs=[out], device=body.device)
+        kernel = edges.pieces_kernel
+        if body.has_coats:
+            kernel, inputs = coated_edges.coated_pieces_kernel, [*inputs, worker.stuff]
+        wp.launch(kernel, len(which), inputs=inputs, outputs=[out], device=body.device)
         np.add.at(along, place, _complex(out))
     wedges = body.shape.wedges
     return Contributors(

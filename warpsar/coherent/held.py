@@ -169,7 +169,10 @@ class Held:
         program.launch(slopes.surfaces_kernel, some.shape[0], [*mesh, some, surface], [total])
         inputs = [self.sight.radars, worker.wavenumbers, *mesh, surface, total]
         inputs += [upload(view, int, device), upload(which, int, device), upload(seams, slopes.Seam, device)]
-        program.launch(slopes.seams_kernel, (len(which), len(worker.k)), inputs, [self.amplitude])
+        kernel = slopes.seams_kernel
+        if body.has_coats:
+            kernel, inputs = slopes.coated_seams_kernel, [*inputs, self.stuff, body.face_material]
+        program.launch(kernel, (len(which), len(worker.k)), inputs, [self.amplitude])
 
     def follow(
         self, paths: TubePaths, slot: NDArray[np.int32] | None = None

@@ -15,13 +15,19 @@ _STRAIGHT = 1e-6
 
 
 def rims(
-    shape: MeshShape, which: NDArray[np.int64], middle: NDArray[np.float64], along: NDArray[np.float64], thin_m: float
+    shape: MeshShape,
+    which: NDArray[np.int64],
+    bare: NDArray[np.bool_],
+    middle: NDArray[np.float64],
+    along: NDArray[np.float64],
+    thin_m: float,
 ) -> tuple[Any, Any]:
     """Records of `edges.Edge` and `edge_waves.Opposite`, (rims,), among pieces of the wedges `which`, (n,) and (n, 3).
 
     A rim is the border of a flat sheet, or one of the two right-angled edges of a box that is thinner than `thin_m`.
+    `bare`: which wedges are of bare metal, (wedges,). Coated ones are no rims.
     """
-    thickness = _thickness(shape, np.unique(which), thin_m)
+    thickness = _thickness(shape, np.unique(which[bare[which]]), thin_m)
     region, found = shape.region[shape.wedges.face], []
     borders = {one: np.flatnonzero((region == one).any(axis=1)) for one in np.unique(region[~np.isnan(thickness)])}
     for piece, side in np.argwhere(~np.isnan(thickness[which])):

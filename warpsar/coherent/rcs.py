@@ -33,6 +33,9 @@ CALIBRATED = ("single", "multibounce", "edges")
 """Terms with which the interval was found."""
 LARGE_DB, WEAK_DB = 1.0, 30.0
 """An error of the spacing that is said, at values that are not so far under the strongest one."""
+THICK = 0.05
+"""Thickness of a stack on metal over the wavelength, from which on its corners are no edges of a surface impedance
+(docs/coherent-checks.md, "Edges of coated metal")."""
 NOTHING = 1e-20
 """Power of a polarization that has no return, over that of the strongest one: -200 dB.
 
@@ -175,7 +178,9 @@ class RcsRequest:
         if "rough" in scene.radar.terms:
             load(body.patches.kind, rough_kernel, where)
         _refuse_body(scene, body, SPEED_OF_LIGHT / frequencies.max(), rays_per_wavelength, there)
-        found = cls(azimuths, incidences, frequencies, rays_per_wavelength, body, tuple(cautions(scene)))
+        found = cls(
+            azimuths, incidences, frequencies, rays_per_wavelength, body, tuple(cautions(scene, frequencies.max()))
+        )
         if max_memory_gib is not None and (needed := working_gib(scene, found, layers)) > max_memory_gib:
             raise InputError(
                 f"{scene.name}: rcs: found {needed:.3g} GiB for rough places, the launches of all threads and the "
@@ -368,8 +373,8 @@ def _warnings(scene: World, found: Rcs, strongest: NDArray[np.float64]) -> list[
     return warnings
 
 
-def cautions(scene: World) -> list[str]:
-    """What a scene may mean otherwise than it says, known before any ray is sent."""
+def cautions(scene: World, highest_hz: float | None = None) -> list[str]:
+    """What a scene may mean otherwise than it says, known before any ray is sent; without a frequency the radar's."""
     found = left_out_warning(scene, "an RCS")
     mesh = scene.mesh
     used = {name: scene.materials[name] for name in mesh.materials}
@@ -392,11 +397,12 @@ def cautions(scene: World) -> list[str]:
             f"edges of {', '.join(dielectrics)} have no term: away from mirror directions the RCS is too low, often by "
             "many decibels"
         )
-    coated = sorted(name for name, m in used.items() if m.conductor and m.stack)
-    if coated and "edges" in scene.radar.terms:
+    thin_m = THICK * SPEED_OF_LIGHT / (highest_hz or scene.radar.frequency_hz)
+    thick = sorted(name for name, m in used.items() if m.conductor and sum(one.thickness_m for one in m.stack) > thin_m)
+    if thick and "edges" in scene.radar.terms:
         found.append(
-            f"edges of {', '.join(coated)} diffract as those of bare metal: right to 3 dB for layers of up to a "
-            "twentieth of a wavelength, and wrong by 6 to 13 dB for absorbers"
+            f"edges of {', '.join(thick)} have the impedance of their layers, which are thicker than a twentieth of a "
+            "wavelength: off by 3 to 6 dB where edges are all that comes back"
         )
     stacks = sorted(
         name

@@ -20,6 +20,7 @@ from warpsar.coherent.traced import LEVELS, MOST_BOUNCES, Sums, Tracer, over_lan
 from warpsar.kernels.coherent import (
     borders,
     cells,
+    coated_edges,
     edge_waves,
     edges,
     free_lanes,
@@ -266,8 +267,11 @@ class Worker:
         if (count := self.edges.shape[0]) and {"edges", "edge_waves"} & set(self.terms):
             seen = self.free(radars, self.edge_middle, self.edge_outward, both_sides=False)
             inputs, chunks = [*start, self.edges, seen], -(-count // edges.EDGES)
-            if "edges" in self.terms:
+            if "edges" in self.terms and not body.has_coats:
                 self._add(edges.edges_kernel, chunks, inputs, total, TERMS.index("edges"))
+            elif "edges" in self.terms:
+                inputs = [*inputs, self.stuff]
+                self._add(coated_edges.coated_edges_kernel, chunks, inputs, total, TERMS.index("edges"))
             if "edge_waves" in self.terms and (count := self.rims.shape[0]):
                 inputs = [*start, self.rims, self.opposite, seen]
                 chunks, term = -(-count // edges.EDGES), TERMS.index("edge_waves")

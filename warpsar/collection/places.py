@@ -124,7 +124,10 @@ def edge_places(worker: Worker, radar: wp.array) -> Places:
     seen = worker.free(radar, worker.edge_middle, worker.edge_outward, both_sides=False)
     out = wp.zeros((worker.edges.shape[0], 4), dtype=wp.vec2, device=device)
     inputs = [radar, float(worker.k[0]), worker.edges, seen]
-    wp.launch(kernels.edge_places_kernel, out.shape[0], inputs=inputs, outputs=[out], device=device)
+    kernel = kernels.edge_places_kernel
+    if worker.body.has_coats:
+        kernel, inputs = kernels.coated_edge_places_kernel, [*inputs, worker.stuff]
+    wp.launch(kernel, out.shape[0], inputs=inputs, outputs=[out], device=device)
     which = worker.body.cuts(np.pi / float(worker.k.max()))[0]
     return _kept(worker.edge_middle.numpy(), complex_of(out), worker.body.shape.wedges.face[which, 0])
 

@@ -1,10 +1,10 @@
 """A layer on the metal of a part: the likeliest one beside curves, and what the curves tell of it.
 
-The amplitude of `single` is linear in the two coefficients of reflection, which are functions of the angle to a face.
-So a few sweeps with known layers, `PROBES`, foretell those of every other one: where the coefficients of a layer are a
-sum of the probes' own, with weights that add up to one, its amplitude is the same sum. Ways over several faces are not
-linear, so the likeliest layer is swept itself, becomes a probe, and is sought again beside it. Edges stay those of bare
-metal (docs/coherent-checks.md, "Edges of coated metal").
+The amplitude of `single` is linear in the two coefficients of reflection, which are functions of the angle to a face,
+and that of `edges` in the coefficients of diffraction. So a few sweeps with known layers, `PROBES`, foretell those of
+every other one: where the coefficients of a layer are a sum of the probes' own, with weights that add up to one, its
+amplitude is the same sum. Of edges a half-plane stands for all. Ways over several faces are not linear, so the
+likeliest layer is swept itself, becomes a probe, and is sought again beside it.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from warpsar.coherent.wedge import fringes
 from warpsar.curves.materials import MODEL, Kind, MaterialHypothesis
 from warpsar.curves.noise import Noise, densities, fit_each
 from warpsar.curves.observed import ObservedCurve
@@ -40,6 +41,7 @@ STARTS = 2
 """Of the places of the grid: from so many of the likeliest a fit goes on."""
 _SLOPE = 1e-3  # step of a difference
 _COS = np.linspace(0.04, 1.0, 25)
+_PHI = np.deg2rad([20.0, 50.0, 75.0, 105.0, 130.0, 160.0, 200.0, 230.0, 310.0, 340.0])  # off the poles
 _STEPS = 25
 _WALK, _FIRST, _WIDER = 10, 0.02, 1.8  # steps of a profile to a side, the first of them, and how much each grows
 
@@ -104,6 +106,12 @@ def reflections(layer: MaterialLayer | None, frequency_hz: float) -> NDArray[np.
     return np.stack([(across - 1.0) / (across + 1.0), (along - 1.0) / (along + 1.0)])
 
 
+def coefficients(layer: MaterialLayer | None, frequency_hz: float) -> NDArray[np.complex128]:
+    """What amplitudes are linear in: `reflections`, and what the edge of a half-plane adds; one row."""
+    edge = fringes(Material(conductor=True) if layer is None else coated(layer), frequency_hz, _PHI)
+    return np.concatenate([reflections(layer, frequency_hz).ravel(), edge.ravel()])
+
+
 class Probed:
     """Train curves beside any layer on one part, from sweeps of some. `sweep` makes those of a part in one material."""
 
@@ -134,11 +142,11 @@ class Probed:
 
     def _weights(self, layer: MaterialLayer, frequency_hz: float) -> NDArray[np.complex128]:
         """Of the probes but the first, whose weight is what is left of one."""
-        bare = reflections(None, frequency_hz).ravel()
+        bare = coefficients(None, frequency_hz)
         if frequency_hz not in self._solving:
-            apart = np.stack([reflections(one, frequency_hz).ravel() - bare for one in self._layers[1:]], axis=1)
+            apart = np.stack([coefficients(one, frequency_hz) - bare for one in self._layers[1:]], axis=1)
             self._solving[frequency_hz] = np.asarray(np.linalg.pinv(apart, rcond=1e-4), np.complex128)
-        return self._solving[frequency_hz] @ (reflections(layer, frequency_hz).ravel() - bare)
+        return self._solving[frequency_hz] @ (coefficients(layer, frequency_hz) - bare)
 
 
 @dataclass(frozen=True)
