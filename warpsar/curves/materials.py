@@ -172,6 +172,8 @@ class _Asked:
     test: MaterialTest
     chosen: MaterialHypothesis
     rows: list[NDArray[np.float64]]
+    in_doubt: bool
+    """It is refused for the curves left out alone: they do not confirm it."""
 
 
 def _ask(
@@ -213,36 +215,44 @@ def _ask(
     rivals = [constant([c]) for c in train]
     paid = sum(each.parameters for each in rivals) * float(np.log(independent(train)))
     over = likelihoods[best] - 2.0 * sum(each.fitted.log_likelihood for each in rivals) + paid
+    whole, _ = _by_blocks(curves, rows)
+    least = 2.0 * LEAST_DB / DB_TO_AMPLITUDE * independent(curves)
+    unconfirmed = [each.name for each in left_out if not each.holds]
     why = ""
     if gain <= price:
         why = "the train curves do not pay for it"
-    elif bad := [each.name for each in left_out if not each.holds]:
-        why = f"curves left out do not confirm it: {', '.join(bad)}"
     elif over <= 0.0:
         why = "no likelier than a constant level"
-    whole, _ = _by_blocks(curves, rows)
-    least = 2.0 * LEAST_DB / DB_TO_AMPLITUDE * independent(curves)
-    if not why and whole <= least:
+    elif whole <= least:
         why = f"it takes less than {LEAST_DB:g} dB off the noise, which the engine's own error may hold"
+    in_doubt = not why and bool(unconfirmed)
+    if in_doubt:
+        why = f"curves left out do not confirm it: {', '.join(unconfirmed)}"
     outcome: Outcome = "refused" if why else "named"
     head = chosen.part, chosen.kind, outcome, interval
-    return _Asked(MaterialTest(*head, gain, price, tuple(left_out), over, whole, why, product), chosen, rows)
+    return _Asked(MaterialTest(*head, gain, price, tuple(left_out), over, whole, why, product), chosen, rows, in_doubt)
 
 
 def _with_ties(asked: Sequence[_Asked], curves: Sequence[ObservedCurve]) -> list[MaterialTest]:
-    """Those that stand are tied where the likeliest of them is not two standard errors before another."""
+    """Those that stand are tied where the likeliest of them is not two standard errors before another.
+
+    So is one that the curves left out leave in doubt: of two that the same curves cannot tell apart, the one whose gain
+    passes two standard errors by a little has no better right to a name.
+    """
     found = [one.test for one in asked]
     standing = [i for i, one in enumerate(found) if one.outcome == "named"]
     if not standing:
         return found
     first = standing[0]
     tied = []
-    for i in standing[1:]:
-        rows = [a - b for a, b in zip(asked[first].rows, asked[i].rows, strict=True)]
+    for i, one in enumerate(asked):
+        if i == first or not (i in standing or one.in_doubt):
+            continue
+        rows = [a - b for a, b in zip(asked[first].rows, one.rows, strict=True)]
         ahead, error = _by_blocks(curves, rows)
         if ahead <= max(ERRORS * error, ALIKE):
             tied.append(i)
-        else:
+        elif i in standing:
             found[i] = replace(found[i], outcome="refused", why=f"{found[first].part}, {found[first].kind} is likelier")
     for i in [first, *tied] if tied else []:
         others = [f"{found[j].part}, {found[j].kind}" for j in [first, *tied] if j != i]
