@@ -44,24 +44,26 @@ def own_autocovariance(patches: Sequence[Patch]) -> tuple[np.ndarray, float]:
     of the blocks moves it little. A gain with a ripple lies in all of them, and makes pixels of a line alike however
     far apart they are. So speckle has the part of each lag that those from `FAR` on do not foretell by its rows and its
     columns (`_of_lines`); a block's own level, which lowers all lags alike, goes with it. Lags below three times their
-    sampling error, and negative ones, are set to zero. A block that measured no power in half of its pixels has no
+    sampling error, by the pairs of pixels that each has, and negative ones, are set to zero. A block that measured no power in half of its pixels has no
     level, and says nothing. Where no block has pixels enough, the speckle is taken for white, and its variance for 1.
     """
     lags = [(i, j) for i in range(LAGS + 1) for j in range(-LAGS, LAGS + 1) if (i, j) >= (0, 0)]
     means: list[list[np.ndarray]] = [[] for _ in lags]
+    pairs = np.ones(len(lags))
     for patch in patches:
         level = _levels(patch)
         inside = (patch.interior & (level > 0.0)).astype(float)
         level[level <= 0.0] = 1.0
         standing = _standardised(patch.ratio, level, patch.looks)
-        for found, (i, j) in zip(means, lags, strict=True):
+        for k, (i, j) in enumerate(lags):
             both = np.multiply(*_pair(inside, i, j))
             product = _standardised(_pair(patch.ratio, i, j)[1], _pair(level, i, j)[0], patch.looks)
             product *= _pair(standing, i, j)[0]
             product *= both
             count = _blocks(both)
             enough = count >= FULL * BLOCK**2
-            found.append(_blocks(product)[enough] / count[enough])
+            means[k].append(_blocks(product)[enough] / count[enough])
+            pairs[k] += count[enough].sum()
     medians = np.array([np.median(blocks) if (blocks := np.concatenate(m)).size else 0.0 for m in means])
     without_lines = np.eye(len(lags)) - _of_lines(lags)
     medians = without_lines @ medians
@@ -70,9 +72,8 @@ def own_autocovariance(patches: Sequence[Patch]) -> tuple[np.ndarray, float]:
     variance = float(medians[lags.index((0, 0))])
     if variance <= 0:
         return correlation, 1.0
-    pixels = sum(int(patch.interior.sum()) for patch in patches)
     # a median of normal values scatters by 1.25 of what a mean does
-    noise = 3.0 * 1.25 * np.sqrt((without_lines**2).sum(axis=1) / pixels)
+    noise = 3.0 * 1.25 * np.sqrt(without_lines**2 @ (1.0 / pairs))
     for (i, j), median, least in zip(lags, medians, noise, strict=True):
         if median > least * variance:
             correlation[LAGS + i, LAGS + j] = correlation[LAGS - i, LAGS - j] = min(median / variance, 1.0)
