@@ -40,12 +40,13 @@ def own_autocovariance(patches: Sequence[Patch]) -> tuple[np.ndarray, float]:
     """Autocorrelation of the speckle, shape (2 LAGS + 1, 2 LAGS + 1), and its variance in units of 1 / looks.
 
     Structure in the residual looks like correlated speckle of a large variance, and would excuse itself. So pixels
-    are taken about the median of their own block, and the median over all blocks counts: what lies in less than half
-    of the blocks moves it little. A gain with a ripple lies in all of them, and makes pixels of a line alike however
-    far apart they are. So speckle has the part of each lag that those from `FAR` on do not foretell by its rows and its
-    columns (`_of_lines`); a block's own level, which lowers all lags alike, goes with it. Lags below three times their
-    sampling error, by the pairs of pixels that each has, and negative ones, are set to zero. A block that measured no power in half of its pixels has no
-    level, and says nothing. Where no block has pixels enough, the speckle is taken for white, and its variance for 1.
+    are taken about the median of their own block, and the median over all blocks counts: what lies in less than
+    half of the blocks moves it little. A gain with a ripple lies in all of them, and makes pixels of a line alike
+    however far apart they are. So speckle has the part of each lag that those from `FAR` on do not foretell by its
+    rows and its columns (`_of_lines`); a block's own level, which lowers all lags alike, goes with it. Lags below
+    three times their sampling error, by the pairs of pixels that each has, and negative ones, are set to zero. A
+    block that measured no power in half of its pixels has no level, and says nothing. Where no block has pixels
+    enough, the speckle is taken for white, and its variance for 1.
     """
     lags = [(i, j) for i in range(LAGS + 1) for j in range(-LAGS, LAGS + 1) if (i, j) >= (0, 0)]
     means: list[list[np.ndarray]] = [[] for _ in lags]
