@@ -127,7 +127,7 @@ def test_derivatives(mesh: warpsar.Mesh) -> None:
         assert agrees(jacobian["mesh.vertices"][..., vertex, axis], expected, 1e-5)
 
 
-def test_bare_edges_of_a_body_with_coats_keep_their_bits() -> None:
+def test_bare_edges_of_a_body_with_coats_are_those_of_bare_metal() -> None:
     """The kernel that knows layers has for an edge of bare metal what the other one has."""
     one = plate(0.15, 0.1)
     both = warpsar.Mesh.of(

@@ -253,6 +253,9 @@ def test_what_stacks_lack_is_said() -> None:
     coated = scene(plate(0.1, 0.1), material={"conductor": True, "layers": [{"mu_r": 1.5, "thickness_m": 0.01}]})
     assert any("edges of default have the impedance of their layers" in each for each in cautions(coated))
     assert not any("impedance" in each for each in cautions(coated, FREQUENCY / 10.0))
+    assert not any("edge_waves" in each for each in cautions(coated))
+    waves = replace(coated, radar=coated.radar.model_copy(update={"terms": ("edges", "edge_waves")}))
+    assert any("edge_waves has nothing between edges of default" in each for each in cautions(waves))
     assert np.isnan(warpsar.rcs(coated, 90.0, device="cpu").model_error_m).all()
     with pytest.raises(InputError, match="found rms_height_m = 0, layers"):
         warpsar.simulate(scene(plate(1.0, 1.0), material={"layers": [{"thickness_m": 0.01}]}), device="cpu")

@@ -397,8 +397,13 @@ def cautions(scene: World, highest_hz: float | None = None) -> list[str]:
             f"edges of {', '.join(dielectrics)} have no term: away from mirror directions the RCS is too low, often by "
             "many decibels"
         )
+    coated = sorted(name for name, m in used.items() if m.conductor and m.stack)
+    if coated and "edge_waves" in scene.radar.terms:
+        found.append(
+            f"edge_waves has nothing between edges of {', '.join(coated)}: it knows plates of bare metal alone"
+        )
     thin_m = THICK * SPEED_OF_LIGHT / (highest_hz or scene.radar.frequency_hz)
-    thick = sorted(name for name, m in used.items() if m.conductor and sum(one.thickness_m for one in m.stack) > thin_m)
+    thick = [name for name in coated if sum(one.thickness_m for one in used[name].stack) > thin_m]
     if thick and "edges" in scene.radar.terms:
         found.append(
             f"edges of {', '.join(thick)} have the impedance of their layers, which are thicker than a twentieth of a "

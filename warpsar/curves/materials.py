@@ -221,13 +221,13 @@ def _ask(
     why = ""
     if gain <= price:
         why = "the train curves do not pay for it"
+    elif unconfirmed:
+        why = f"curves left out do not confirm it: {', '.join(unconfirmed)}"
     elif over <= 0.0:
         why = "no likelier than a constant level"
     elif whole <= least:
         why = f"it takes less than {LEAST_DB:g} dB off the noise, which the engine's own error may hold"
-    in_doubt = not why and bool(unconfirmed)
-    if in_doubt:
-        why = f"curves left out do not confirm it: {', '.join(unconfirmed)}"
+    in_doubt = bool(unconfirmed) and gain > price and over > 0.0 and whole > least
     outcome: Outcome = "refused" if why else "named"
     head = chosen.part, chosen.kind, outcome, interval
     return _Asked(MaterialTest(*head, gain, price, tuple(left_out), over, whole, why, product), chosen, rows, in_doubt)

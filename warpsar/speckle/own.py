@@ -50,7 +50,7 @@ def own_autocovariance(patches: Sequence[Patch]) -> tuple[np.ndarray, float]:
     """
     lags = [(i, j) for i in range(LAGS + 1) for j in range(-LAGS, LAGS + 1) if (i, j) >= (0, 0)]
     means: list[list[np.ndarray]] = [[] for _ in lags]
-    pairs = np.ones(len(lags))
+    pairs = np.ones(len(lags))  # and one, so that a lag without any has an error
     for patch in patches:
         level = _levels(patch)
         inside = (patch.interior & (level > 0.0)).astype(float)
